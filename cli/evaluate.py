@@ -34,7 +34,7 @@ Image = Annotated[
 ]
 
 
-def find_playing_kind(submission: Path, *, is_image: bool) -> "SubmissionKind":
+def find_playing_kind(submission: Path, *, is_image: bool = False) -> "SubmissionKind":
     """Return what kind of policy a submission is: a container image if so said or named, a model else."""
     from vitac.evaluator.submission_kinds import SubmissionKind, kind_of_file
 

@@ -187,7 +187,7 @@ def import_(
 @app.command()
 def match(
     log: LogFile,
-    submission: Annotated[Path, typer.Argument(help="Zip or folder of the model.")],
+    submission: Annotated[Path, typer.Argument(help="Zip or folder of the model, or tar of an image.")],
     json: AsJson = False,
 ) -> None:
     """Count how many of a log's actions a model gives; exit code 0 if all, 1 otherwise."""
@@ -200,13 +200,15 @@ def match(
     from vitac.evaluator.submission.sources import staged
     from vitac.evaluator.tracks import find_task
 
+    from .evaluate import find_playing_kind
     from .terminal.compiling import compiling_shown
 
     header, records = _read(log)
     track, task = find_task(header.manifest.task)
+    kind = find_playing_kind(submission)
     with (
-        staged(submission) as folder,
-        load_in_sandbox(folder, Limits(), track.packages) as session,
+        staged(submission, kind) as folder,
+        load_in_sandbox(folder, Limits(), track.packages, kind=kind) as session,
         compiling_shown(),
     ):
         reading = make_reading(task, load_manifest(folder).observation_keys)

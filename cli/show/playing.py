@@ -156,13 +156,17 @@ def _policy_player(task: "Task", start: EpisodeStart, submission: Path) -> Itera
     from vitac.evaluator.agent.session import PolicySession
     from vitac.evaluator.episodes.episode import delayed
     from vitac.evaluator.episodes.reading import make_reading
+    from vitac.evaluator.submission.image import load_program
     from vitac.evaluator.submission.manifest import load_manifest
     from vitac.evaluator.submission.sources import staged
     from vitac.evaluator.tracks import find_task
 
+    from ..evaluate import find_playing_kind
+
     fall_back_where_nothing_isolates()
     packages = find_task(task.name)[0].packages
-    with staged(submission) as folder:
+    kind = find_playing_kind(submission)
+    with staged(submission, kind) as folder:
         manifest = load_manifest(folder)
         if task.name not in manifest.tasks:
             raise NothingToShow(
@@ -170,7 +174,12 @@ def _policy_player(task: "Task", start: EpisodeStart, submission: Path) -> Itera
             )
         reading = make_reading(task, manifest.observation_keys)
         with (
-            PolicySession(folder, entry_point=manifest.own_entry_point(), packages=packages) as session,
+            PolicySession(
+                folder,
+                entry_point=manifest.own_entry_point(),
+                image=load_program(folder) if kind.form.is_image else None,
+                packages=packages,
+            ) as session,
             session.episode(task=task.name, action_shape=(len(task.actions),), clouds=reading.clouds) as policy,
         ):
             playing = delayed(policy, task)

@@ -69,6 +69,8 @@ int main(void) {
             answer(channel, seq, "loaded", NULL);
         } else if (strstr(header, "\"kind\":\"reset\"")) {
             answer(channel, seq, "ready", NULL);
+        } else if (strstr(header, "\"kind\":\"believe\"")) {
+            answer(channel, seq, "belief", NULL); /* it has none */
         } else {
             double drift = mean_drift(payload, payload_bytes / sizeof *payload);
             double push = round(fmin(1, fmax(-1, -drift)) * 1000) / 1000;

@@ -206,7 +206,7 @@ def test_match_counts_the_actions_that_a_model_gives(
     log: Path, model: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def load(answer: Any) -> None:
-        monkeypatch.setattr(policy, "load_in_sandbox", lambda *_: FakeSession(answer).load())
+        monkeypatch.setattr(policy, "load_in_sandbox", lambda *_, **__: FakeSession(answer).load())
 
     load(succeed)
     assert run(capsys, "match", log, model) == (0, "the model gives 9 of 9 actions\n", "")
