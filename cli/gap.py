@@ -45,7 +45,7 @@ def command(
 
 
 def _played_twice(simulated: Path, tried: Path, starts: dict[int, Hashable]) -> PlayedTwice:
-    """Pair the episodes of a policy, and add their starts.
+    """Return the episodes of a policy that both have, and add their starts.
 
     Raises:
         OtherEpisodes: they are of other policies, or episodes with the same number began elsewhere.
