@@ -74,6 +74,8 @@ def limit_rows(limits: Limits) -> tuple[LimitRow, ...]:
         "Files and folders in the archive": f"{limits.archive_files:,}".replace(",", "\N{NARROW NO-BREAK SPACE}"),
         "Folder depth in the archive": str(limits.archive_depth),
         "Ratio of unpacked to packed size": f"{limits.archive_ratio:g}",
+        "Container image, packed and unpacked": size(limits.image_bytes),
+        "Files and folders in a container image": f"{limits.image_files:,}".replace(",", "\N{NARROW NO-BREAK SPACE}"),
         "Start (import and load)": time_limits(limits.start_cpu_s, limits.start_wall_s),
         "One action": time_limits(limits.action_cpu_s, limits.action_wall_s),
         "One episode": time_limits(limits.episode_cpu_s, None),

@@ -110,7 +110,8 @@ def test_our_environments_start_the_next_episode_as_asked_and_as_gymnasiums_do(m
 
 def test_wrappers_are_put_around_each_environment() -> None:
     wrappers = (NumericInfos, gymnasium.wrappers.FlattenObservation)
-    with vector("ViTac/PegInsertion-v1", None, 2, env_wrappers=wrappers) as env:
+    keys = ("marker_flow", "relative_motion")
+    with vector("ViTac/PegInsertion-v1", None, 2, env_wrappers=wrappers, observation_keys=keys) as env:
         observation, info = env.reset(seed=0)
     assert observation.shape == (2, 2 * 2 * 128 * 2 + 4)
     assert info["end_reason"].tolist() == [0, 0]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import kernel
-from ..algebra import Vec3, add, cross, dot, load, scale, subtract
+from ..algebra import Mat3, Vec3, add, cross, dot, load, scale, subtract
 from ..model.model import Elastic, Hexahedra, get_mode
 from .broad_phase import Candidates, Corners
 from .contact import Quad
@@ -151,21 +151,23 @@ def inversion_free_fraction(
         da = subtract(load(move, n1), load(move, n0))
         db = subtract(load(move, n2), load(move, n0))
         dc = subtract(load(move, n3), load(move, n0))
-        allowed = _volume_keeping_fraction(a, b, c, da, db, dc, allowed)
+        allowed = _volume_keeping_fraction((a, b, c), (da, db, dc), allowed)
     for h in range(len(hexahedra.volume_m3)):
-        a, b, c = get_mode(hexahedra, h, 0, x), get_mode(hexahedra, h, 1, x), get_mode(hexahedra, h, 2, x)
-        da, db, dc = get_mode(hexahedra, h, 0, move), get_mode(hexahedra, h, 1, move), get_mode(hexahedra, h, 2, move)
-        allowed = _volume_keeping_fraction(a, b, c, da, db, dc, allowed)
+        F = get_mode(hexahedra, h, 0, x), get_mode(hexahedra, h, 1, x), get_mode(hexahedra, h, 2, x)
+        dF = get_mode(hexahedra, h, 0, move), get_mode(hexahedra, h, 1, move), get_mode(hexahedra, h, 2, move)
+        allowed = _volume_keeping_fraction(F, dF, allowed)
     return allowed
 
 
 @kernel
-def _volume_keeping_fraction(a: Vec3, b: Vec3, c: Vec3, da: Vec3, db: Vec3, dc: Vec3, allowed: float) -> float:
+def _volume_keeping_fraction(vectors: Mat3, moves: Mat3, allowed: float) -> float:
     """Return the largest part, up to `allowed`, of moves of three vectors that leaves a tenth of their volume.
 
     Along the move a volume is a cubic in time; dropping its growing terms gives a falling lower bound, which is
     bisected.
     """
+    a, b, c = vectors
+    da, db, dc = moves
     bc, db_dc = cross(b, c), cross(db, dc)
     mixed = add(cross(b, dc), cross(db, c))
     volume = dot(a, bc)

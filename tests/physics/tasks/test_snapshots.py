@@ -13,9 +13,7 @@ ENV_IDS = sorted(vitac.envs.ENVIRONMENTS)
 
 
 def made(env_id: str, **arguments: Any) -> Any:
-    return gymnasium.make(
-        env_id, disable_env_checker=True, observation_keys=("marker_flow", "relative_motion"), **arguments
-    ).unwrapped
+    return gymnasium.make(env_id, disable_env_checker=True, observation_keys=("marker_flow",), **arguments).unwrapped
 
 
 def played(env: Any, actions: np.ndarray) -> list[Any]:

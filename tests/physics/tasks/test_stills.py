@@ -16,9 +16,7 @@ WHITE = 255
 
 
 def made(env_id: str, render_mode: str | None = "rgb_array") -> Any:
-    return gymnasium.make(
-        env_id, render_mode=render_mode, observation_keys=("relative_motion",), disable_env_checker=True
-    )
+    return gymnasium.make(env_id, render_mode=render_mode, observation_keys=("marker_flow",), disable_env_checker=True)
 
 
 def kinds(picture: np.ndarray) -> dict[str, int]:

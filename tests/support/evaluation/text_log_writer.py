@@ -15,8 +15,10 @@ def text_log(
     totals: Sequence[str] = (),
     team: str = "Touch",
 ) -> str:
-    """The text of a log; episodes as parsed logs have them."""
-    messages = [f"#KEY: {team}", f"this is MD5: {md5}", "Git Repository Information:", "  branch: main"]
+    """The text of a log; episodes as parsed logs have them. Those of 2024 have no MD5."""
+    messages = [f"#KEY: {team}"]
+    if md5:
+        messages += [f"this is MD5: {md5}", "Git Repository Information:", "  branch: main"]
     messages.append("\n-----------Parameters-----\n" + f"{'tac_friction':>30}: {'87.5':<60}\n" + "-----End-----\n")
     messages.append(repr(environment))
     for episode in episodes:

@@ -160,7 +160,8 @@ def fresh_database(template: str = TEMPLATE) -> Iterator[str]:
     try:
         yield shared_cluster().cluster.dsn(name)
     finally:
-        administration().execute(f"DROP DATABASE {name} WITH (FORCE)")
+        if not administration().closed:  # as at the end of the process, when the cluster goes, too
+            administration().execute(f"DROP DATABASE {name} WITH (FORCE)")
 
 
 @contextmanager
