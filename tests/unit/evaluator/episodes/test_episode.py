@@ -129,7 +129,7 @@ def play_late(delay_steps: int, while_thinking: str) -> list[float]:
     session.open = True
     task = TASK.model_copy(update={"delay_steps": delay_steps, "while_thinking": WhileThinking(while_thinking)})
     record = run_episode(env=FakeEnvironment(), task=task, episode=task.episodes[0], open_session=lambda: session)
-    return record.actions.to_array()[:, 0].tolist()
+    return list(map(float, record.actions.to_array()[:, 0]))
 
 
 @pytest.mark.parametrize(

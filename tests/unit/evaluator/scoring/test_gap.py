@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.stats import pearsonr  # type: ignore[import-untyped]
+from scipy.stats import pearsonr
 from vitac.evaluator.scoring.gap import Gap, NoGap, PlayedTwice, measure_gap
 
 EPISODES = range(1, 13)

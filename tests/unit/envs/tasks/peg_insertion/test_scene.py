@@ -49,7 +49,7 @@ def test_random_starts_are_blocked_and_within_range() -> None:
     drawn = [start({}, seed) for seed in range(300)]
     assert {chosen.shape for chosen in drawn} == set(PegShape)
     for chosen in drawn:
-        assert is_blocked(chosen.shape, chosen.offset)
+        assert is_blocked(PegShape(chosen.shape), chosen.offset)
         assert max(abs(chosen.offset.x_mm), abs(chosen.offset.y_mm)) <= 5.0
         assert abs(chosen.offset.theta_deg) <= 10.0
 
