@@ -34,6 +34,7 @@ NOT_RUN = {
     r"(mkdir|cp -r) .*my_submission|export VITAC": "makes a folder that the reader of another document already has",
     r"vitac station\b": "needs the devices of a laboratory; tests/unit/cli/test_station.py has twins of them",
     r"--station\b": "plays trials on a twin for minutes; tests/unit/station/test_trial.py does",
+    r"vitac gap\b": "needs trials; tests/unit/cli/test_gap.py makes some",
     r"--remote\b": "needs a policy server; tests/integration/remote plays with those of packages",
     r"vitac sensor evaluate\b": "plays many episodes; tests/unit/cli/test_sensor.py does",
     r"first/|first$|check first\b|submit first\b": "needs the challenge's STL file; a dome is checked in its place",
