@@ -60,6 +60,7 @@ def show_everything(site: SiteUnderTest) -> None:
         make_worker(seeded.database, host=f"machine-{number}", sandbox=a_sandbox().model_dump(mode="json"))
 
 
+@pytest.mark.slow
 def test_pages_are_accessible_fit_and_raise_no_error(page: Page, site: SiteUnderTest) -> None:
     """In both looks, one after the other; that a page may be opened once for both is the next test."""
     show_everything(site)

@@ -68,6 +68,7 @@ def result_hash(submission: Path, report: Path) -> str:
     return found["result_hash"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("shared_simulation")
 def test_an_image_plays_as_the_same_policy_in_an_archive_does(tmp_path: Path) -> None:
     stand_in = "def serve(policy): ...\n"
