@@ -102,7 +102,7 @@ def _print_text(gap: Gap) -> None:
                 f"{100 * policy.simulation:.1f}",
                 f"{100 * policy.station:.1f}",
                 f"{100 * policy.difference.value:+.1f}",
-                f"{100 * policy.difference.interval.low:+.1f} to {100 * policy.difference.interval.high:+.1f}",
+                f"{100 * policy.difference.low:+.1f} to {100 * policy.difference.high:+.1f}",
                 policy.both,
                 policy.only_simulation,
                 policy.only_station,
@@ -128,5 +128,5 @@ def _print_text(gap: Gap) -> None:
 
 def _text(measured: Measured, factor: float, unit: str) -> str:
     digits = 1 if factor > 1 else 3
-    low, high = factor * measured.interval.low, factor * measured.interval.high
+    low, high = factor * measured.low, factor * measured.high
     return f"{factor * measured.value:.{digits}f} {unit} [{low:.{digits}f}, {high:.{digits}f}]".replace("  ", " ")

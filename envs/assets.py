@@ -45,7 +45,7 @@ class Meshes:
         gel: elastomer of both sensors in place of the challenge's.
         sensor: design of both sensors in place of the challenge's, with a gel of its own.
         is_coarse: the generated gel has fewer elements, for training.
-        is_hexahedral: the generated gel is one that does not lock.
+        is_arena: as under `arena-2`, the generated gel does not lock, and sensors see nothing outside of the picture.
     """
 
     def __init__(
@@ -55,9 +55,9 @@ class Meshes:
         gel: GelMesh | None = None,
         sensor: SensorDesign | None = None,
         is_coarse: bool = False,
-        is_hexahedral: bool = False,
+        is_arena: bool = False,
     ) -> None:
-        self._is_coarse, self._is_hexahedral = is_coarse, is_hexahedral
+        self._is_coarse, self._is_arena = is_coarse, is_arena
         self._folder = None if assets_dir is None else _existing_folder(Path(assets_dir))
         self._gel = gel if sensor is None else sensor.gel
         self._design = sensor
@@ -67,11 +67,11 @@ class Meshes:
         if self._gel is not None:
             return self._gel
         if self._is_coarse:
-            return coarse_arena_gel_mesh() if self._is_hexahedral else coarse_gelsight_mini_mesh()
+            return coarse_arena_gel_mesh() if self._is_arena else coarse_gelsight_mini_mesh()
         return self._fine_gel() if self._folder is None else _read_gel(self._folder / _GEL_FOLDER)
 
     def _fine_gel(self) -> GelMesh:
-        return arena_gel_mesh() if self._is_hexahedral else gelsight_mini_mesh()
+        return arena_gel_mesh() if self._is_arena else gelsight_mini_mesh()
 
     def sensing_node_count(self) -> int:
         """Return how many nodes of a sensing face are observed: of a coarse gel as many as of the one it stands for."""
@@ -79,13 +79,18 @@ class Meshes:
 
     def sensors(self, settings: MarkerSettings) -> tuple[TactileSensor, TactileSensor]:
         """Return the two sensors of a gripper, left and right."""
-        design = self._design
-        if design is not None:
-            return DesignedSensor(design, settings), DesignedSensor(design, settings)
-        if self._is_coarse:
-            coarse, fine = self.gel(), self._fine_gel()
-            return CoarseSensor(coarse, fine, settings), CoarseSensor(coarse, fine, settings)
-        return TactileSensor(self.gel(), settings), TactileSensor(self.gel(), settings)
+        left, right = self._sensor(settings), self._sensor(settings)
+        left.sees_outside = right.sees_outside = not self._is_arena
+        return left, right
+
+    def _sensor(self, settings: MarkerSettings) -> TactileSensor:
+        if self._design is not None:
+            return DesignedSensor(self._design, settings)
+        return (
+            CoarseSensor(self.gel(), self._fine_gel(), settings)
+            if self._is_coarse
+            else TactileSensor(self.gel(), settings)
+        )
 
     def hash(self, solids: Iterable[SurfaceMesh], settings: object) -> str:
         """Return the SHA-256 [hex] of meshes, settings and a design, so that results with other assets differ.

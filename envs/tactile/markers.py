@@ -10,7 +10,7 @@ in this order per sensor, left sensor first:
 5. only if k >= 128: a choice of 128 of k without replacement.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from math import ceil
 from typing import NamedTuple
@@ -59,8 +59,6 @@ class MarkerSettings:
         drift_u_px_s: speed at which the current positions leave the references along u, the same for all markers.
         drift_v_px_s: the same along v.
         delay: part of an env step by which what is observed lags behind, from 0 to 1.
-        sees_outside: whether a marker is observed that has left the picture, as the challenge does. It goes with the
-            contact model, which `repr` names.
     """
 
     interval_mm: tuple[float, float] = (1.95, 2.15)
@@ -72,7 +70,6 @@ class MarkerSettings:
     drift_u_px_s: float = 0.0
     drift_v_px_s: float = 0.0
     delay: float = 0.0
-    sees_outside: bool = field(default=True, repr=False)
 
 
 class SurfaceArrays(NamedTuple):
@@ -113,7 +110,7 @@ class SensingSurface:
         return cls(
             vertices_m=vertices_m,
             triangles=number[mesh.surface_triangles[on_surface]],
-            candidates=_CANDIDATES_AMONG_UNEVEN if len(mesh.hexahedra) else _CANDIDATES,
+            candidates=_CANDIDATES_AMONG_UNEVEN if mesh.is_hexahedral else _CANDIDATES,
         )
 
     @cached_property

@@ -42,12 +42,14 @@ class TactileSensor:
         gel: the elastomer.
         camera: intrinsics.
         settings: of its markers.
+        sees_outside: whether a marker is observed that has left the picture, as the challenge does.
     """
 
     def __init__(self, mesh: GelMesh, settings: MarkerSettings) -> None:
         self.gel = mesh
         self.settings = settings
         self.camera: CameraIntrinsics = CHALLENGE_CAMERA
+        self.sees_outside = True
         self._eye_distance_m = eye_distance_m(mesh)
         self._reference_m: FloatArray | None = None
         self.lost_px: FloatArray = np.empty((2, 0, 2))
@@ -81,7 +83,7 @@ class TactileSensor:
 
         It is that of the nodes, as the challenge has it; of a gel of hexahedra, whose nodes stand unevenly, by area.
         """
-        if len(self.gel.hexahedra):
+        if self.gel.is_hexahedral:
             return weighted_distance_m(self._reference(), view_m, self._surface.node_shares)
         return mean_distance_m(self._reference(), view_m)
 
@@ -91,7 +93,7 @@ class TactileSensor:
         return self._track(flow, kept, random)
 
     def _track(self, flow: FloatArray, kept: NDArray[np.bool_], random: np.random.Generator) -> FloatArray:
-        if not self.settings.sees_outside:
+        if not self.sees_outside:
             kept = kept & find_in_picture(flow[1])
         self.lost_px = flow[:, ~kept]
         return tracked(flow, kept, self.settings, random)

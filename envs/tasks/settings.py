@@ -241,7 +241,4 @@ def with_contact_model(settings: SettingsT, name: str | None, *, has_own_gel: bo
         )
     poisson_ratio = physics.poisson_ratio if has_own_gel else SILICONE_POISSON_RATIO
     physics = replace(physics, contact=ArenaContactSettings(), poisson_ratio=poisson_ratio)
-    changes = {"physics": physics}
-    if hasattr(settings, "markers"):
-        changes["markers"] = replace(settings.markers, sees_outside=False)
-    return replace(settings, **changes)  # type: ignore[type-var]
+    return replace(settings, physics=physics)  # type: ignore[type-var]

@@ -183,7 +183,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
             gel=gel,
             sensor=sensor,
             is_coarse=self.fidelity is Fidelity.TRAINING,
-            is_hexahedral=self.settings.physics.contact.model is ContactModel.ARENA_2,
+            is_arena=self.settings.physics.contact.model is ContactModel.ARENA_2,
         )
         self._observed_keys = tuple(entry.name for entry in own)
         self._further_observables = tuple(observables)

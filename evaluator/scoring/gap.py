@@ -10,6 +10,8 @@ from pydantic import Field, NonNegativeInt, PositiveInt
 from vitac.envs.errors import VitacError
 
 from ..strict_model import StrictModel
+from .comparison import paired_interval
+from .starts import group_by_start
 
 ASKED_POLICIES: Final = 10
 """From so many on correlation and rank violation say something."""
@@ -35,18 +37,12 @@ class PlayedTwice:
     ends: Mapping[int, tuple[bool, bool]]
 
 
-class Interval(StrictModel):
-    """95 % interval by a cluster bootstrap of starts, which all policies share."""
-
-    low: float
-    high: float
-
-
 class Measured(StrictModel):
-    """A figure with its interval."""
+    """A figure with its 95 % interval by start."""
 
     value: float
-    interval: Interval
+    low: float
+    high: float
 
 
 class PolicyGap(StrictModel):
@@ -93,14 +89,14 @@ def measure_gap(policies: Sequence[PlayedTwice], starts: Mapping[int, Hashable])
     for policy in policies:
         if not policy.ends:
             raise NoGap(f"Expected episodes of {policy.name} that simulation and station have both played, got none.")
-    clusters = sorted({starts[episode] for policy in policies for episode in policy.ends}, key=repr)
-    tallies = np.zeros((len(clusters), len(policies), 4))
+    rows = {start: row for row, start in enumerate(dict.fromkeys(starts.values()))}
+    tallies = np.zeros((len(rows), len(policies), 4))
     for column, policy in enumerate(policies):
         for episode, (simulated, tried) in policy.ends.items():
-            tallies[clusters.index(starts[episode]), column] += (1, simulated, tried, simulated == tried)
+            tallies[rows[starts[episode]], column] += (1, simulated, tried, simulated == tried)
     several = len(policies) > 1
     return Gap(
-        policies=tuple(_policy_gap(policy, tallies[:, [row]]) for row, policy in enumerate(policies)),
+        policies=tuple(_policy_gap(policy, starts) for policy in policies),
         difference=_measured(mean_difference, tallies),
         agreement=_measured(agreement, tallies),
         pearson=_measured(pearson, tallies) if several and not np.isnan(pearson(tallies.sum(axis=0))) else None,
@@ -147,7 +143,7 @@ def mean_maximum_rank_violation(tally: FloatArray) -> FloatArray:
 
 
 def _measured(statistic: Callable[[FloatArray], FloatArray], tallies: FloatArray) -> Measured:
-    """Return a statistic of tallies by start, shape [s, p, 4], with its interval.
+    """Return a statistic of tallies by start, shape [s, p, 4], with its interval by a cluster bootstrap of the starts.
 
     Resamples in which a policy has no episode, or that have no value, drop out.
     """
@@ -156,18 +152,20 @@ def _measured(statistic: Callable[[FloatArray], FloatArray], tallies: FloatArray
     resamples = tallies[drawn].sum(axis=1)
     values = statistic(resamples[(resamples[..., 0] > 0).all(axis=-1)])
     low, high = np.nanpercentile(values, _OUTER).tolist()
-    return Measured(value=float(statistic(tallies.sum(axis=0))), interval=Interval(low=low, high=high))
+    return Measured(value=float(statistic(tallies.sum(axis=0))), low=low, high=high)
 
 
-def _policy_gap(policy: PlayedTwice, tallies: FloatArray) -> PolicyGap:
+def _policy_gap(policy: PlayedTwice, starts: Mapping[int, Hashable]) -> PolicyGap:
     solved = list(policy.ends.values())
-    simulation, station = (float(side[0]) for side in rates(tallies.sum(axis=0)))
+    simulation, station = (sum(side) / len(solved) for side in zip(*solved, strict=True))
+    differences = ((starts[episode], simulated - tried) for episode, (simulated, tried) in policy.ends.items())
+    low, high = paired_interval(group_by_start(differences))
     return PolicyGap(
         name=policy.name,
         episodes=len(solved),
         simulation=simulation,
         station=station,
-        difference=_measured(mean_difference, tallies),
+        difference=Measured(value=simulation - station, low=low, high=high),
         both=solved.count((True, True)),
         only_simulation=solved.count((True, False)),
         only_station=solved.count((False, True)),

@@ -72,6 +72,17 @@ _UNPACKED_NAME = "unpacked"
 _DOCUMENT_NAME = "design-document"
 
 
+@contextmanager
+def _refusals_told() -> Iterator[None]:
+    """Raise what a body or its manifest breaks as the service's error."""
+    try:
+        yield
+    except ArchiveRejected as error:
+        raise ServiceError(ProblemCode.ARCHIVE_REJECTED, error.message, reason=error.code.value) from error
+    except ManifestRejected as error:
+        raise ServiceError(ProblemCode.MANIFEST_REJECTED, str(error)) from error
+
+
 def check_model(received: ReceivedFile, owner: str, settings: Settings) -> CheckedUpload:
     """Unpack an archive beside itself and read its manifest; nothing of it is imported.
 
@@ -83,16 +94,12 @@ def check_model(received: ReceivedFile, owner: str, settings: Settings) -> Check
     Raises:
         ServiceError: the archive or its manifest breaks a rule.
     """
-    try:
+    with _refusals_told():
         folder = unpack(received.path, received.path.with_name(_UNPACKED_NAME), settings.limits)
         manifest, digest = load_unpacked_manifest(folder), submission_digest(folder, settings.limits)
         track = load_known_track(manifest.track)
         sketch, contents = make_sketch(folder), read_contents(folder)  # of the team's own files, without the wheels'
         unpack_wheels(folder, settings.limits)
-    except ArchiveRejected as error:
-        raise ServiceError(ProblemCode.ARCHIVE_REJECTED, error.message, reason=error.code.value) from error
-    except ManifestRejected as error:
-        raise ServiceError(ProblemCode.MANIFEST_REJECTED, str(error)) from error
     if manifest.remote is not None:
         _ask_policy_server(manifest.remote, [track.tasks[task] for task in manifest.tasks], settings, owner)
     return CheckedUpload(
@@ -121,13 +128,9 @@ def check_image(received: ReceivedFile, owner: str, settings: Settings) -> Check
     Raises:
         ServiceError: the image or its manifest breaks a rule.
     """
-    try:
+    with _refusals_told():
         folder = unpack_image(received.path, received.path.with_name(_UNPACKED_NAME), settings.limits)
         manifest, digest = load_manifest(folder), image_digest(received.path, settings.limits)
-    except ArchiveRejected as error:
-        raise ServiceError(ProblemCode.ARCHIVE_REJECTED, error.message, reason=error.code.value) from error
-    except ManifestRejected as error:
-        raise ServiceError(ProblemCode.MANIFEST_REJECTED, str(error)) from error
     track = load_known_track(manifest.track)
     if track.has_sensor:
         raise ServiceError(ProblemCode.UNSUPPORTED_SUBMISSION_KIND, f"{track.name} takes sensors, not images.")

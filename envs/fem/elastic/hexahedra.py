@@ -29,6 +29,7 @@ from ..algebra import Mat3, Vec3, add_to_row, apply_rows, cross, dot, load, set_
 from ..linear.system import GEL_STRIDE, add_block
 from ..model.model import HEXAHEDRON_NODES as NODES
 from ..model.model import MODES, NO_MATRIX, PROJECTED_MATRIX, Hexahedra, NewtonSystem, get_mode, weight_place
+from .neo_hookean import lame_parameters_pa
 
 FloatArray = NDArray[np.float64]
 
@@ -71,7 +72,7 @@ def stabilisation_n_m(
     These are the 12 of the squares of Q_mk, at 3 m + k; of Q_ij Q_ji at 12 and of Q_ii Q_jj at 15, for (i, j) = (0, 1),
     (0, 2), (1, 2).
     """
-    mu = youngs_modulus_pa / (2.0 * (1.0 + poisson_ratio))
+    mu, _ = lame_parameters_pa(youngs_modulus_pa, poisson_ratio)
     bending = volume_m3 * youngs_modulus_pa / (3.0 * (1.0 - poisson_ratio * poisson_ratio))
     twisting, rest = volume_m3 * mu / 3.0, volume_m3 * youngs_modulus_pa / 9.0
     a = 2.0 / size_m
@@ -101,7 +102,7 @@ def add_hexahedra(
     for h in range(len(hexahedra.volume_m3)):
         for t in range(MODES):
             set_row(scratch.modes, t, get_mode(hexahedra, h, t, x))
-        det_f = _write_forces(hexahedra, h, scratch)
+        det_f, pressure = _write_forces(hexahedra, h, scratch)
         smallest = min(smallest, det_f)
         for a in range(NODES):
             total = (0.0, 0.0, 0.0)
@@ -110,7 +111,7 @@ def add_hexahedra(
                 total = total[0] + w * f[0], total[1] + w * f[1], total[2] + w * f[2]
             add_to_row(system.gradient, hexahedra.nodes[h, a], total)
         if matrix != NO_MATRIX:
-            _write_jacobian(hexahedra, h, det_f, scratch, matrix)
+            _write_jacobian(hexahedra, h, pressure, scratch, matrix)
             _write_blocks(hexahedra, h, scratch)
             _add_blocks(hexahedra, h, scratch.block, system)
     return smallest
@@ -123,8 +124,8 @@ def _pair(i: int, j: int) -> int:
 
 
 @kernel
-def _write_forces(hexahedra: Hexahedra, h: int, scratch: HexahedronScratch) -> float:
-    """Write the forces on the modes, and what the Jacobian is made of; return det F."""
+def _write_forces(hexahedra: Hexahedra, h: int, scratch: HexahedronScratch) -> tuple[float, float]:
+    """Write the forces on the modes, and what the Jacobian is made of; return det F and lambda ln J - mu [Pa]."""
     modes, strain, stress, force = scratch.modes, scratch.strain, scratch.stress, scratch.force
     numbers = hexahedra.stabilisation_n_m[h]
     for m in range(HOURGLASS_VECTORS):
@@ -154,7 +155,7 @@ def _write_forces(hexahedra: Hexahedra, h: int, scratch: HexahedronScratch) -> f
     for m in range(HOURGLASS_VECTORS):
         for i in range(3):
             force[COLUMNS + m, i] = stress[m, 0] * c0[i] + stress[m, 1] * c1[i] + stress[m, 2] * c2[i]
-    return J
+    return J, pressure
 
 
 @kernel
@@ -166,7 +167,7 @@ def _add_outer(block: FloatArray, factor: float, a: Vec3, b: Vec3) -> None:
 
 
 @kernel
-def _write_jacobian(hexahedra: Hexahedra, h: int, det_f: float, scratch: HexahedronScratch, matrix: int) -> None:
+def _write_jacobian(hexahedra: Hexahedra, h: int, pressure: float, scratch: HexahedronScratch, matrix: int) -> None:
     """Write the derivative of the forces on the modes by the modes, or its positive semi-definite replacement.
 
     The latter leaves out how the hourglass forces turn, and of the material what `neo_hookean` leaves out.
@@ -178,8 +179,7 @@ def _write_jacobian(hexahedra: Hexahedra, h: int, det_f: float, scratch: Hexahed
     c = (load(modes, 0), load(modes, 1), load(modes, 2))
     q = (load(modes, 3), load(modes, 4), load(modes, 5), load(modes, 6))
     g = (load(inverse, 0), load(inverse, 1), load(inverse, 2))
-    turning = mu - lam * natural_log(det_f)
-    kept = 0.5 * turning if matrix == PROJECTED_MATRIX else turning
+    kept = -0.5 * pressure if matrix == PROJECTED_MATRIX else -pressure
     for k in range(COLUMNS):
         for j in range(COLUMNS):
             block = jacobian[k, j]
@@ -189,7 +189,7 @@ def _write_jacobian(hexahedra: Hexahedra, h: int, det_f: float, scratch: Hexahed
             jacobian[k, k, i, i] += volume * mu
         if matrix == PROJECTED_MATRIX:
             for j in range(COLUMNS):
-                _add_outer(jacobian[k, k], 0.5 * volume * abs(turning), g[j], g[j])
+                _add_outer(jacobian[k, k], 0.5 * volume * abs(pressure), g[j], g[j])
     for m in range(HOURGLASS_VECTORS):
         mode = COLUMNS + m
         for k in range(COLUMNS):

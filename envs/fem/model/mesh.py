@@ -23,7 +23,7 @@ SMALLEST_TETRAHEDRON_QUALITY = 1e-4
 # Boundary faces of a tetrahedron, outward for a positively oriented one.
 _FACES = ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))
 _EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
-TETRAHEDRA_OF_HEXAHEDRON = 5
+_TETRAHEDRA_OF_HEXAHEDRON = 5
 # Natural coordinates of a hexahedron's nodes, and of the points where two of Gauss' points in each direction stand.
 _SIGNS = np.array([(x, y, z) for z in (-1.0, 1.0) for y in (-1.0, 1.0) for x in (-1.0, 1.0)])
 _GAUSS = 1.0 / np.sqrt(3.0)
@@ -79,7 +79,7 @@ class GelMesh:
         if self.driven.all():
             raise MeshError(f"{self.name}: all {nodes} nodes are driven, so none is left to solve for; free some.")
         self._check_tetrahedra()
-        if len(self.hexahedra):
+        if self.is_hexahedral:
             self._check_hexahedra()
 
     def _check_tetrahedra(self) -> None:
@@ -109,13 +109,13 @@ class GelMesh:
 
     def _check_hexahedra(self) -> None:
         _check_indices(self.name, "hexahedron", self.hexahedra, 8, len(self.rest_position_m))
-        expected = np.repeat(self.hexahedra, TETRAHEDRA_OF_HEXAHEDRON, axis=0)
+        expected = np.repeat(self.hexahedra, _TETRAHEDRA_OF_HEXAHEDRON, axis=0)
         if len(expected) != len(self.tetrahedra) or not (self.tetrahedra[:, :, None] == expected[:, None]).any(2).all():
             raise MeshError(
                 f"{self.name}: {len(self.tetrahedra)} tetrahedra do not cut {len(self.hexahedra)} hexahedra; expected "
-                f"{TETRAHEDRA_OF_HEXAHEDRON} of the corners of each, in the order of the hexahedra."
+                f"{_TETRAHEDRA_OF_HEXAHEDRON} of the corners of each, in the order of the hexahedra."
             )
-        of_tetrahedra = self.volumes_m3.reshape(-1, TETRAHEDRA_OF_HEXAHEDRON).sum(axis=1)
+        of_tetrahedra = self.volumes_m3.reshape(-1, _TETRAHEDRA_OF_HEXAHEDRON).sum(axis=1)
         wrong = np.abs(self.blocks.volume_m3 - of_tetrahedra) > _CUT_ERROR * of_tetrahedra
         wrong |= (self.blocks.size_m <= 0.0).any(axis=1)
         if wrong.any():
@@ -132,13 +132,18 @@ class GelMesh:
         return measure_blocks(self.rest_position_m[self.hexahedra])
 
     @property
+    def is_hexahedral(self) -> bool:
+        """Whether hexahedra carry its elastic energy."""
+        return len(self.hexahedra) > 0
+
+    @property
     def elements(self) -> IndexArray:
         """What carries its elastic energy: hexahedra where there are any, else tetrahedra; shape [e, 8 or 4]."""
-        return self.hexahedra if len(self.hexahedra) else self.tetrahedra
+        return self.hexahedra if self.is_hexahedral else self.tetrahedra
 
     def node_masses_kg(self, density_kg_m3: float) -> FloatArray:
         """Return the lumped mass of each node [kg], shape [n]: an equal part of every element around it."""
-        volumes_m3 = self.blocks.volume_m3 if len(self.hexahedra) else self.volumes_m3
+        volumes_m3 = self.blocks.volume_m3 if self.is_hexahedral else self.volumes_m3
         masses = np.zeros(len(self.rest_position_m))
         np.add.at(masses, self.elements, 1.0 / self.elements.shape[1] * density_kg_m3 * volumes_m3[:, None])
         return masses

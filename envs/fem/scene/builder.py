@@ -86,7 +86,7 @@ def lay_out_gels(meshes: tuple[GelMesh, ...], frame_points: int) -> GelLayout:
     placed = list(zip(meshes, starts[:-1], strict=True))
     order = np.concatenate([mesh.elimination.nodes + start for mesh, start in placed])
     none = np.empty((0, 4), dtype=np.int64)
-    tetrahedra = np.concatenate([none, *(mesh.tetrahedra + start for mesh, start in placed if not len(mesh.hexahedra))])
+    tetrahedra = np.concatenate([none, *(mesh.tetrahedra + start for mesh, start in placed if not mesh.is_hexahedral)])
     hexahedra = np.concatenate([mesh.hexahedra + start for mesh, start in placed])
     slot = np.full(starts[-1], PRESCRIBED, dtype=np.int64)
     slot[order] = np.arange(len(order))
@@ -111,7 +111,7 @@ def _ordered_pairs(elements: IndexArray) -> tuple[IndexArray, IndexArray]:
 
 def _build_elastic(gels: tuple[GelBody, ...], of_gels: GelLayout) -> Elastic:
     gradients, volumes, mu, lam = [np.empty((0, 4, 3))], [np.empty(0)], [np.empty(0)], [np.empty(0)]
-    for gel in (gel for gel in gels if not len(gel.mesh.hexahedra)):
+    for gel in (gel for gel in gels if not gel.mesh.is_hexahedral):
         mu_pa, lambda_pa = lame_parameters_pa(gel.youngs_modulus_pa, gel.poisson_ratio)
         gradients.append(_rotated(gel.mesh.rest_gradients_1_m, gel.rotation))
         volumes.append(gel.mesh.volumes_m3)

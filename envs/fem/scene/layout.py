@@ -79,7 +79,7 @@ def check_bodies(gels: Sequence[GelBody], bodies: Sequence[RigidBody]) -> None:
         _check_positive(name, youngs_modulus_pa=gel.youngs_modulus_pa, density_kg_m3=gel.density_kg_m3)
         if not 0.0 <= gel.poisson_ratio < 0.5:
             raise SceneError(f"poisson_ratio of {name} is {gel.poisson_ratio}, expected at least 0 and less than 0.5.")
-        if gel.poisson_ratio >= _LOCKING_POISSON_RATIO and not len(gel.mesh.hexahedra):
+        if gel.poisson_ratio >= _LOCKING_POISSON_RATIO and not gel.mesh.is_hexahedral:
             raise SceneError(
                 f"poisson_ratio of {name} is {gel.poisson_ratio}, but {gel.mesh.name} is of linear tetrahedra, which "
                 f"lock: at {_LOCKING_POISSON_RATIO} a ball presses 1.7 times as hard as into the continuum; mesh it by "

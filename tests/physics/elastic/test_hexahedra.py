@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from contact.gels import bent_over_theory
+from contact.beams import bent_over_theory
 from engine_probe import dense_matrix
 from numpy.typing import NDArray
 from vitac.envs.fem.elastic.hexahedra import add_hexahedra, new_hexahedron_scratch

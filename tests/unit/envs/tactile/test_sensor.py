@@ -49,7 +49,7 @@ def test_a_marker_that_has_left_the_picture_is_seen_only_as_the_challenge_does()
     flows = {}
     for sees_outside in (True, False):
         sensor, view = sensor_and_view()
-        sensor.settings = MarkerSettings(sees_outside=sees_outside, noise_px=0.0)
+        sensor.settings, sensor.sees_outside = MarkerSettings(noise_px=0.0), sees_outside
         sensor.capture_reference(view)
         flows[sees_outside] = sensor.marker_flow(view - np.array([3e-3, 0.0, 0.0]), np.random.default_rng(0))
     left = ~find_in_picture(flows[True][1])

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.stats import pearsonr
+from vitac.evaluator.scoring.comparison import paired_interval
 from vitac.evaluator.scoring.gap import Gap, NoGap, PlayedTwice, measure_gap
 
 EPISODES = range(1, 13)
@@ -28,7 +29,7 @@ def test_rates_differences_and_agreement_are_those_of_the_counts() -> None:
     assert gap.difference.value == pytest.approx((0.25 + 0.25 - 0.25) / 3)
     assert gap.agreement.value == pytest.approx(27 / 36)
     for measured in (gap.difference, gap.agreement):
-        assert measured.interval.low < measured.value < measured.interval.high
+        assert measured.low < measured.value < measured.high
 
 
 def test_correlation_is_scipys() -> None:
@@ -51,9 +52,17 @@ def test_rank_violation_is_the_largest_difference_that_simulation_ranks_otherwis
 def test_repeats_of_a_start_narrow_no_interval() -> None:
     """With one start for all episodes, nothing but the rate itself is drawn."""
     policy = played("one", 6, 3)
-    apart = measure_gap([policy], {episode: episode for episode in EPISODES}).difference.interval
-    alike = measure_gap([policy], dict.fromkeys(EPISODES, 0)).difference.interval
+    apart = measure_gap([policy], {episode: episode for episode in EPISODES}).difference
+    alike = measure_gap([policy], dict.fromkeys(EPISODES, 0)).difference
     assert apart.low < alike.low == alike.high < apart.high
+
+
+def test_difference_of_a_policy_has_the_interval_of_compare() -> None:
+    (policy,) = gap_of((6, 3)).policies
+    by_start = [
+        [1 if 3 < episode <= 6 else 0 for episode in EPISODES if STARTS[episode] == start] for start in range(4)
+    ]
+    assert (policy.difference.low, policy.difference.high) == pytest.approx(paired_interval(by_start))
 
 
 def test_one_policy_has_no_correlation_and_equal_rates_have_none() -> None:
