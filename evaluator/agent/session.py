@@ -70,11 +70,11 @@ class Isolation:
 
 
 def default_episode_isolation() -> EpisodeIsolation:
-    """Return the kind that this platform can do, or the one named by VITAC_EPISODE_ISOLATION."""
+    """Return the kind that this machine can do, or the one named by VITAC_EPISODE_ISOLATION."""
     named = os.environ.get("VITAC_EPISODE_ISOLATION")
     if named:
         return EpisodeIsolation(named)
-    return EpisodeIsolation.FROZEN_COPY if tracing.is_supported() else EpisodeIsolation.FRESH_PROCESS
+    return EpisodeIsolation.FRESH_PROCESS if tracing.explain_unsupported() else EpisodeIsolation.FROZEN_COPY
 
 
 def default_kind() -> IsolationKind:

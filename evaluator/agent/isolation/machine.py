@@ -2,8 +2,10 @@
 
 import ctypes.util
 import os
+import platform
 import shutil
 import subprocess
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -15,6 +17,10 @@ from .bubblewrap import UserIsolation
 from .memory_files import FILES_VARIABLE, memory_folder
 
 _SYSCTL: Final = Path("/proc/sys")
+_NAMESPACES: Final = ("mnt", "pid", "net", "ipc", "uts")
+"""Kinds of namespaces that every sandbox needs, as the kernel's settings name them."""
+_CONTAINER_MARKS: Final = (Path("/.dockerenv"), Path("/run/.containerenv"))
+"""Files by which Docker and Podman mark a container."""
 _DEADLINE_S: Final = 10.0
 
 
@@ -32,11 +38,15 @@ class Requirement:
 
 
 def requirements() -> list[Requirement]:
-    """Look for everything; nothing is started but `bwrap --version`."""
+    """Look for everything; nothing is started but bubblewrap, with a program that does nothing."""
     found = [_bubblewrap(), _seccomp(), *_programs(), _memory(), _control_group(), _frozen_copies(), _gvisor()]
-    if bubblewrap.current_user_isolation() is UserIsolation.USER_NAMESPACE:
+    if found[0].is_met:
+        found.append(_namespaces())
+    is_user = bubblewrap.current_user_isolation() is UserIsolation.USER_NAMESPACE
+    found.append(limits_of_namespaces(("user", *_NAMESPACES) if is_user else _NAMESPACES))
+    if is_user:
         found += user_namespaces()
-    return found
+    return [*found, *subsystem_for_windows(platform.release())]
 
 
 def explain_no_namespaces() -> str:
@@ -55,6 +65,52 @@ def explain_no_namespaces() -> str:
     return ""
 
 
+def _namespaces() -> Requirement:
+    reason = explain_no_namespaces()
+    remedy = "change the setting that is named below; without one, the kernel was built without namespaces"
+    if any(mark.exists() for mark in _CONTAINER_MARKS):
+        remedy = (
+            "the container's engine refuses them: start it with `--security-opt seccomp=unconfined --security-opt "
+            "apparmor=unconfined --security-opt systempaths=unconfined`"
+        )
+    return Requirement(
+        name="namespaces made for a sandbox",
+        is_met=not reason,
+        is_needed=True,
+        found=reason.rstrip(".") or "all",
+        remedy=remedy if reason else "",
+    )
+
+
+def limits_of_namespaces(kinds: Sequence[str], sysctl: Path = _SYSCTL) -> Requirement:
+    """Look for kinds of namespaces of which the kernel allows none, as hardened ones do."""
+    limits = [sysctl / f"user/max_{kind}_namespaces" for kind in kinds]
+    none_of = [f"user.{limit.name}" for limit in limits if limit.exists() and limit.read_text().strip() == "0"]
+    return Requirement(
+        name="namespaces are not limited to none",
+        is_met=not none_of,
+        is_needed=True,
+        found=", ".join(f"{name}: 0" for name in none_of) or "none is 0",
+        remedy=f"`sudo sysctl {' '.join(f'{name}=15000' for name in none_of)}`" if none_of else "",
+    )
+
+
+def subsystem_for_windows(release: str) -> list[Requirement]:
+    """Recognise the Windows Subsystem for Linux by its kernel's release; its first version has no Linux kernel."""
+    if "microsoft" not in release.lower():
+        return []
+    is_second = "WSL2" in release
+    return [
+        Requirement(
+            name="Windows Subsystem for Linux 2",
+            is_met=is_second,
+            is_needed=True,
+            found=release,
+            remedy="" if is_second else "WSL 1 has no namespaces: `wsl --set-version DISTRIBUTION 2` in Windows",
+        )
+    ]
+
+
 def user_namespaces(sysctl: Path = _SYSCTL) -> list[Requirement]:
     """Look for settings of the kernel that keep a normal user from making namespaces."""
     return [
@@ -71,12 +127,6 @@ def user_namespaces(sysctl: Path = _SYSCTL) -> list[Requirement]:
             bad="0",
             name="the kernel lets users make namespaces",
             remedy="`sudo sysctl kernel.unprivileged_userns_clone=1`",
-        ),
-        _setting(
-            sysctl / "user/max_user_namespaces",
-            bad="0",
-            name="user namespaces are not limited to none",
-            remedy="`sudo sysctl user.max_user_namespaces=15000`",
         ),
     ]
 
@@ -144,6 +194,9 @@ def _memory() -> Requirement:
 
 
 def _control_group() -> Requirement:
+    remedy = "run as a service with `Delegate=yes`, or start with `systemd-run --user --scope -p Delegate=yes`"
+    if subsystem_for_windows(platform.release()):
+        remedy += "; under WSL 2 both need `systemd=true` below `[boot]` in /etc/wsl.conf, and `wsl --shutdown`"
     group = cgroup.create(Limits())
     if group is not None:
         group.remove()
@@ -153,7 +206,7 @@ def _control_group() -> Requirement:
         is_met=False,
         is_needed=False,
         found="none; a watchdog looks at memory instead",
-        remedy="run as a service with `Delegate=yes`, or start with `systemd-run --user --scope -p Delegate=yes`",
+        remedy=remedy,
     )
 
 
@@ -166,11 +219,13 @@ def _gvisor() -> Requirement:
 
 
 def _frozen_copies() -> Requirement:
-    is_met = tracing.is_supported()
+    reason = tracing.explain_unsupported()
     return Requirement(
         name="frozen copies for episodes",
-        is_met=is_met,
+        is_met=not reason,
         is_needed=False,
-        found="Linux on x86-64" if is_met else "this platform loads the policy again for every episode",
-        remedy="" if is_met else "evaluate on Linux on x86-64, which is faster",
+        found=f"{reason}: the policy is loaded again for every episode" if reason else "Linux on x86-64",
+        remedy=""
+        if not reason
+        else "evaluate on Linux on x86-64 with kernel.yama.ptrace_scope below 3, which is faster",
     )

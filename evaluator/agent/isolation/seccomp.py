@@ -8,6 +8,7 @@ import errno
 import functools
 import signal
 import tempfile
+from collections.abc import Iterable
 from typing import Any, Final
 
 from ..verdicts import SandboxFailed
@@ -100,18 +101,33 @@ def filter_program(further: tuple[str, ...] = ()) -> bytes:
     Raises:
         SandboxFailed: libseccomp is missing.
     """
-    try:
-        import pyseccomp  # type: ignore[import-untyped]
-    except (ImportError, OSError, RuntimeError) as error:
-        raise SandboxFailed(
-            f"The seccomp filter cannot be built ({error}); install libseccomp (Debian, Ubuntu: `libseccomp2`)."
-        ) from error
+    pyseccomp = _load_library()
     syscall_filter = pyseccomp.SyscallFilter(pyseccomp.ERRNO(errno.ENOSYS))
     _add_rules(syscall_filter, pyseccomp, (*ALLOWED, *further))
     with tempfile.TemporaryFile() as file:
         syscall_filter.export_bpf(file)
         file.seek(0)
         return file.read()
+
+
+def call_numbers(names: Iterable[str]) -> dict[str, int]:
+    """Return the numbers of system calls, which differ between architectures, on this machine; -1 for unknown ones.
+
+    Raises:
+        SandboxFailed: libseccomp is missing.
+    """
+    library = _load_library()
+    return {name: library.resolve_syscall(library.Arch.NATIVE, name) for name in names}
+
+
+def _load_library() -> Any:
+    try:
+        import pyseccomp  # type: ignore[import-untyped]
+    except (ImportError, OSError, RuntimeError) as error:
+        raise SandboxFailed(
+            f"The seccomp filter cannot be built ({error}); install libseccomp (Debian, Ubuntu: `libseccomp2`)."
+        ) from error
+    return pyseccomp
 
 
 def _add_rules(syscall_filter: Any, seccomp: Any, allowed: tuple[str, ...]) -> None:

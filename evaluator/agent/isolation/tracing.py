@@ -1,6 +1,6 @@
 """Runs single system calls in a stopped process of the sandbox, without letting that process run one instruction.
 
-Linux on x86-64 only (`is_supported`). A traced process belongs to the thread that seized it.
+Linux on x86-64 only (`explain_unsupported`). A traced process belongs to the thread that seized it.
 """
 
 import contextlib
@@ -100,9 +100,13 @@ _ptrace.argtypes = [ctypes.c_long, ctypes.c_long, ctypes.c_void_p, ctypes.c_void
 _ptrace.restype = ctypes.c_long
 
 
-def is_supported() -> bool:
-    """Return whether this platform's registers are known here."""
-    return sys.platform == "linux" and platform.machine() == "x86_64"
+def explain_unsupported(ptrace_scope: Path = Path("/proc/sys/kernel/yama/ptrace_scope")) -> str:
+    """Return why no process can be traced here, by registers that are not known or by the kernel; empty if one can."""
+    if sys.platform != "linux" or platform.machine() != "x86_64":
+        return f"registers of {platform.machine()} are not known"
+    if ptrace_scope.exists() and ptrace_scope.read_text().strip() == "3":
+        return "kernel.yama.ptrace_scope is 3"
+    return ""
 
 
 class TracedProcess:

@@ -1,14 +1,17 @@
 """The self-test holds on this machine, and would tell if it did not."""
 
+import ast
 import os
+import re
 import subprocess
 import tempfile
 from dataclasses import replace
 from pathlib import Path
 
+import pyseccomp  # type: ignore[import-untyped]
 import pytest
 from vitac.evaluator.agent.limits import Limits
-from vitac.evaluator.agent.self_test import PROBES, Outcome, Probe, ProbeState, is_safe, run
+from vitac.evaluator.agent.self_test import PROBES, Outcome, Probe, ProbeState, is_safe, make_policy, run
 from vitac.evaluator.agent.verdicts import VerdictCode
 
 
@@ -27,6 +30,16 @@ def test_every_attempt_is_held(probe: Probe) -> None:
     outcome = outcome_of(probe)
     assert outcome.state is ProbeState.HELD, outcome.detail
     assert outcome.isolation is not None
+
+
+def test_attempts_call_by_the_numbers_of_the_architecture(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A number of x86-64 is another call on ARM64: an attempt would find every sandbox sound, or none."""
+    monkeypatch.setattr(pyseccomp.Arch, "NATIVE", pyseccomp.Arch.AARCH64)
+    code = make_policy(PROBES, Path("/canary"))
+    numbers = ast.literal_eval(code.partition("CALLS = ")[2].partition("\n")[0])
+    assert (numbers["ptrace"], numbers["socketpair"], numbers["setns"]) == (117, 199, 268)
+    assert min(numbers.values()) >= 0, "libseccomp knows each"
+    assert re.findall(r"allowed\(\s*\(\d", code) == []
 
 
 @pytest.mark.parametrize(

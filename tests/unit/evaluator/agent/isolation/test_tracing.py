@@ -11,7 +11,7 @@ import pytest
 from vitac.evaluator.agent.isolation import tracing
 from vitac.evaluator.agent.isolation.tracing import NotWaiting, TracedProcess, TracedProcessGone
 
-pytestmark = pytest.mark.skipif(not tracing.is_supported(), reason="only Linux on x86-64 is traced")
+pytestmark = pytest.mark.skipif(bool(tracing.explain_unsupported()), reason="only Linux on x86-64 is traced")
 SYS_GETPID = 39
 SYS_GETPPID = 110
 WAITS = """
