@@ -87,6 +87,13 @@ _FORMS: Mapping[SubmissionKind, KindForm] = MappingProxyType(
 )
 
 
+class Need(StrEnum):
+    """What an image needs of the machine that it plays on."""
+
+    GPU = "gpu"
+    """An NVIDIA GPU and its driver."""
+
+
 def kinds_of_board(kind: SubmissionKind) -> tuple[SubmissionKind, ...]:
     """Return the kinds whose results are on the boards that a kind names."""
     return tuple(each for each in SubmissionKind if each.board is kind)

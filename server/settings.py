@@ -257,6 +257,9 @@ class Settings(BaseSettings):
         description="What an upgrade of the evaluator does to evaluations that run: `finish` them on workers of the "
         "version that they began with, or `restart` them with the new one. The server that starts last decides.",
     )
+    worker_gpu: bool = Field(
+        default=False, description="Workers here play images that need a GPU, too (`vitac worker --gpu`)."
+    )
     worker_slots: PositiveInt = Field(default=1, description="Shards that one worker process runs at the same time.")
 
     @model_validator(mode="after")

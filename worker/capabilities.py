@@ -40,19 +40,26 @@ def families_here() -> tuple[Family, ...]:
     return tuple(family for family in Family if able.get(family))
 
 
-def list_abilities(families: Collection[Family] | None = None) -> list[str]:
-    """Return the requirements that the worker meets; of given families in place of those that it can run."""
+def list_abilities(families: Collection[Family] | None = None, *, has_gpu: bool = False) -> list[str]:
+    """Return the requirements that the worker meets.
+
+    Args:
+        families: in place of those that it can run.
+        has_gpu: whether it plays images that need a GPU, too, which isolation vm has none of.
+    """
     able = families_here() if families is None else families
     unfit = {name for track in tracks_with_other_packages(able) for name in _list_requirements(load_track(track))}
     pairs = [(version, family) for version in sorted(current_versions()) for family in able]
     fit = [pair for pair in pairs if name_requirement(*pair) not in unfit]
     lists = (False,) if explain_no_sealed_lists() else (False, True)
-    kinds = [IsolationKind.NAMESPACES, *([IsolationKind.VM] if _has_kind(IsolationKind.VM) else [])]
+    kinds = [(IsolationKind.NAMESPACES, False)]
+    kinds += [(IsolationKind.NAMESPACES, True)] if has_gpu else []
+    kinds += [(IsolationKind.VM, False)] if _has_kind(IsolationKind.VM) else []
     return [
-        name_requirement(version, family, sealed=sealed, isolation=kind)
+        name_requirement(version, family, sealed=sealed, isolation=kind, needs_gpu=needs_gpu)
         for version, family in fit
         for sealed in lists
-        for kind in kinds
+        for kind, needs_gpu in kinds
     ]
 
 

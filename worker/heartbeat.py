@@ -127,6 +127,7 @@ class Heartbeat:
             slots=self._services.settings.worker_slots,
             state=self._state,
             evaluator_version=evaluator_version(),
+            has_gpu=self._services.settings.worker_gpu,
             families=[str(family) for family in fit_families(self._families)],
             platform_class=platform_class(),
             isolation=self._report.level,

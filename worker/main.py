@@ -15,7 +15,9 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 from vitac.envs.errors import VitacError
 from vitac.envs.tasks.definition import Family
+from vitac.evaluator.agent.isolation.gpu import find_gpu
 from vitac.evaluator.agent.isolation.memory_files import FILES_VARIABLE, FileIsolation
+from vitac.evaluator.agent.verdicts import SandboxFailed
 from vitac.evaluator.shards.process import ShardProcesses
 from vitac.server.database.availability import DatabaseUnreachable
 from vitac.server.database.states import WorkerOrder, WorkerState
@@ -196,6 +198,11 @@ def _take_shards(
 
 def _explain_refused(services: Services, report: IsolationReport) -> str | None:
     """Return why this worker may take no shard at all; None if it may."""
+    if services.settings.worker_gpu:
+        try:
+            find_gpu()
+        except SandboxFailed as error:
+            return str(error)
     if not report.is_sound:
         return f"This machine may not run policies: {' '.join(report.problems)} Run `vitac doctor` here."
     return services.database.retrying(_explain_other_evaluator, give_up_after_s=START_PATIENCE_S)

@@ -132,8 +132,9 @@ class QueueWorker:
         return Place(self._free_slots, self._free_threads)
 
     def _claim(self) -> Claim | None:
-        abilities, instruments = list_abilities(self._families), self._services.instruments
         database, settings = self._services.database, self._services.settings
+        abilities = list_abilities(self._families, has_gpu=settings.worker_gpu)
+        instruments = self._services.instruments
         if time.monotonic() - self._looked_at > LOOK_S:
             with database.transaction() as session:
                 self._over_share = work.list_over_share(session, settings)

@@ -112,6 +112,8 @@ def nobody(found: Json) -> str:
     workers = found["workers"]
     if family := workers.get("missing_family"):
         return f"no running worker has what {family} needs"
+    if workers.get("lacks_gpu"):
+        return "no running worker has a GPU, which the image needs"
     if evaluator := workers.get("missing_evaluator"):
         return f"no running worker has evaluator {evaluator}, with which it began"
     return "no worker is running"

@@ -17,6 +17,9 @@ def command(
     slots: Annotated[
         int | None, typer.Option(min=1, help="Number of shards to run at once; default: VITAC_WORKER_SLOTS.")
     ] = None,
+    gpu: Annotated[
+        bool | None, typer.Option("--gpu", help="Play images with `needs: gpu`, too, on this machine's NVIDIA GPU.")
+    ] = None,
     once: Annotated[
         bool, typer.Option("--once", help="End after one shard or playback, or if none comes within 10 s.")
     ] = False,
@@ -41,7 +44,7 @@ def command(
 
     if once and (slots or 1) > 1:
         raise typer.BadParameter("expected one slot with --once, which takes one shard", param_hint="--slots")
-    settings = load_settings(worker_slots=1 if once else slots)
+    settings = load_settings(worker_slots=1 if once else slots, worker_gpu=gpu)
     configure_events(sys.stderr, settings.log_format)
     if parent is not None:
         end_with_parent(parent, signal.SIGTERM)

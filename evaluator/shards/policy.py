@@ -2,11 +2,13 @@
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from random import SystemRandom
 from typing import Self
 
+from ..agent.isolation.gpu import find_gpu
 from ..agent.limits import Limits
 from ..agent.session import Isolation, PolicySession
 from ..agent.verdicts import EpisodeCut
@@ -41,10 +43,14 @@ def load_in_sandbox(
         PolicyFailed: it cannot be loaded.
         SandboxFailed: the isolation could not be set up.
     """
+    manifest, image = load_manifest(submission_dir), None
+    if kind.form.is_image:
+        image = load_program(submission_dir)
+        image = image if manifest.needs is None else replace(image, gpu=find_gpu())
     return PolicySession(
         submission_dir,
-        entry_point=load_manifest(submission_dir).own_entry_point(),
-        image=load_program(submission_dir) if kind.form.is_image else None,
+        entry_point=manifest.entry_point if image is not None else manifest.own_entry_point(),
+        image=image,
         limits=limits,
         packages=packages,
         episode_period_s=episode_period_s,

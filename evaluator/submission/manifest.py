@@ -13,6 +13,7 @@ from vitac.envs.untrusted_file import find_spelling
 from ..agent.verdicts import VerdictCode
 from ..remote.description import RemoteServer
 from ..strict_model import DocumentRejected, StrictModel, parse_untrusted_yaml
+from ..submission_kinds import Need
 from ..tracks import UnknownTrack, load_track
 from .names import MANIFEST_NAME, ArchiveFault, ArchiveRejected, listed
 
@@ -77,6 +78,11 @@ class SubmissionManifest(StrictModel):
         Field(description="Policy server that plays in place of the folder's own code."),
     ] = None
 
+    needs: Annotated[
+        Need | None,
+        Field(description="gpu: an image that plays on workers with an NVIDIA GPU only."),
+    ] = None
+
     @property
     def read_keys(self) -> tuple[str, ...] | None:
         """Keys of the observation that the policy reads; None for all."""
@@ -88,14 +94,27 @@ class SubmissionManifest(StrictModel):
         """Return module:Class of the policy that the folder brings.
 
         Raises:
-            ManifestRejected: a policy server plays in its place.
+            ManifestRejected: a policy server plays in its place, or it needs what only images get.
         """
+        self.require_no_needs()
         if self.remote is not None:
             raise ManifestRejected(
                 f"{MANIFEST_NAME} has a policy server play (`remote`), expected a policy of the folder's own: play "
                 "with `vitac evaluate --remote ADDRESS`."
             )
         return self.entry_point
+
+    def require_no_needs(self) -> None:
+        """Refuse a folder that needs what only images get.
+
+        Raises:
+            ManifestRejected: it does.
+        """
+        if self.needs is not None:
+            raise ManifestRejected(
+                f"{MANIFEST_NAME} says `needs: {self.needs}`, which container images get, each of whose episodes starts "
+                "anew: leave it out, or submit an image."
+            )
 
     def server(self) -> RemoteServer:
         """Return the section `remote`.
@@ -146,6 +165,7 @@ def load_unpacked_manifest(submission_dir: Path) -> SubmissionManifest:
     """
     manifest = load_manifest(submission_dir)
     check_top_folder(manifest, submission_dir.name)
+    manifest.require_no_needs()
     return manifest
 
 

@@ -163,6 +163,7 @@ CREATE TABLE workers (
     state VARCHAR(16) NOT NULL,
     evaluator_version TEXT NOT NULL,
     families TEXT[] DEFAULT '{tactile}' NOT NULL,
+    has_gpu BOOLEAN DEFAULT false NOT NULL,
     platform_class TEXT NOT NULL,
     isolation TEXT NOT NULL,
     worker_order VARCHAR(16) DEFAULT 'work' NOT NULL,

@@ -126,7 +126,13 @@ def _add_shards(session: Session, evaluation: Evaluation) -> bool:
         family = find_family(submission.track, task)
         kind = WorkKind.TRIAL if family is Family.STATION else WorkKind.SHARD
         is_sealed = key.commitment != "" and kind is WorkKind.SHARD
-        requires = name_requirement(evaluation.evaluator_version, family, sealed=is_sealed, isolation=isolation)
+        requires = name_requirement(
+            evaluation.evaluator_version,
+            family,
+            sealed=is_sealed,
+            isolation=isolation,
+            needs_gpu=submission.needs_gpu,
+        )
         columns = waiting(session, kind, owner=owner, requires=requires, turn=evaluation.turn)
         for piece in cut(track.task(task)):
             shard = Trial if kind is WorkKind.TRIAL else Shard

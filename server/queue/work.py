@@ -129,6 +129,7 @@ def name_requirement(
     *,
     sealed: bool = False,
     isolation: IsolationKind | None = None,
+    needs_gpu: bool = False,
 ) -> str:
     """Return what a worker must have for work on a task.
 
@@ -137,9 +138,10 @@ def name_requirement(
         family: of the task, whose needs it must meet.
         sealed: whether a policy plays a sealed list, so that its sandbox must leave no traces in the machine's caches.
         isolation: that its stage asks for; every worker has namespaces.
+        needs_gpu: whether a policy plays that needs one.
     """
     own_kernel = f" {isolation}" if isolation is IsolationKind.VM else ""
-    return f"{evaluator_version} {family}{' sealed' if sealed else ''}{own_kernel}"
+    return f"{evaluator_version} {family}{own_kernel}{' gpu' if needs_gpu else ''}{' sealed' if sealed else ''}"
 
 
 def waiting(session: Session, kind: WorkKind, *, owner: str, requires: str, turn: int | None = None) -> dict[str, Any]:

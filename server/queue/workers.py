@@ -44,6 +44,7 @@ class AlikeWorkers:
 
     evaluator_version: str
     families: Collection[str]
+    has_gpu: bool
     alive: int
     slots: int
 
@@ -55,13 +56,17 @@ class Fleet:
     groups: Sequence[AlikeWorkers]
     last_heartbeat_at: datetime | None
 
-    def alive(self, evaluator_version: str | None = None, family: Family | None = None) -> WorkersAlive:
-        """Return those alive of one evaluator version, of one family; None: of any."""
+    def alive(
+        self, evaluator_version: str | None = None, family: Family | None = None, *, needs_gpu: bool = False
+    ) -> WorkersAlive:
+        """Return those alive of one evaluator version, of one family, None: of any; or with a GPU alone."""
         wanted = find_evaluator(evaluator_version) if evaluator_version else None
         found = [
             group
             for group in self.groups
-            if wanted in {None, group.evaluator_version} and (family is None or family in group.families)
+            if wanted in {None, group.evaluator_version}
+            and (family is None or family in group.families)
+            and (group.has_gpu or not needs_gpu)
         ]
         return WorkersAlive(
             alive=sum(group.alive for group in found),
@@ -122,24 +127,25 @@ def _takes_shards(lost_after_s: float) -> ColumnElement[bool]:
 
 
 @cache
-def _alike(lost_after_s: float) -> Select[str, list[str], int, int, datetime]:
+def _alike(lost_after_s: float) -> Select[str, list[str], bool, int, int, datetime]:
     """Return the query of groups of workers, which is put together once: it is part of each page of submissions."""
     taking = _takes_shards(lost_after_s)
     return select(
         Worker.evaluator_version,
         Worker.families,
+        Worker.has_gpu,
         func.count().filter(taking),
         func.coalesce(func.sum(Worker.slots).filter(taking), 0),
         func.max(Worker.heartbeat_at),
-    ).group_by(Worker.evaluator_version, Worker.families)
+    ).group_by(Worker.evaluator_version, Worker.families, Worker.has_gpu)
 
 
 def fleet(session: Session, settings: Settings) -> Fleet:
     """Return the workers that take shards and are not lost."""
     rows = session.execute(_alike(settings.worker_lost_after_s)).all()
     groups = [
-        AlikeWorkers(evaluator_version=version, families=families, alive=alive, slots=slots)
-        for version, families, alive, slots, _ in rows
+        AlikeWorkers(evaluator_version=version, families=families, has_gpu=has_gpu, alive=alive, slots=slots)
+        for version, families, has_gpu, alive, slots, _ in rows
     ]
     return Fleet(groups=groups, last_heartbeat_at=max((row[-1] for row in rows), default=None))
 

@@ -95,7 +95,13 @@ def ask(
     evaluation = appeal.evaluation
     family, is_sealed = find_family(submission.track, task), evaluation.commitment is not None
     isolation = find_stage(session, submission).rules.isolation
-    requires = name_requirement(evaluation.evaluator_version, family, sealed=is_sealed, isolation=isolation)
+    requires = name_requirement(
+        evaluation.evaluator_version,
+        family,
+        sealed=is_sealed,
+        isolation=isolation,
+        needs_gpu=submission.needs_gpu,
+    )
     replay = AppealReplay(
         appeal_id=appeal.id,
         task=task,

@@ -5,6 +5,7 @@ from datetime import datetime
 from sqlalchemy import select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
+from vitac.evaluator.isolation_kinds import IsolationKind
 
 from ..accounts import teams
 from ..accounts.outbox import announce_evaluation
@@ -73,6 +74,7 @@ def create(
     check_file_name(upload.file_name, team=team_row.name, stage=stage)
     submission, is_new = _find_or_add(session, team_row, upload, stage)
     require_qualified(submission)
+    _require_gpu_fits(submission, stage)
     was_deleted = submission.erased_at is not None
     if session.scalar(select(HAS_NO_UPLOAD).where(Submission.id == submission.id)):
         # Its archive is gone or goes soon; this one holds the same content, however it is packed.
@@ -93,6 +95,15 @@ def create(
     if is_new:
         issue_for_submission(session, submission)
     return submission, True
+
+
+def _require_gpu_fits(submission: Submission, stage: Stage) -> None:
+    if submission.needs_gpu and stage.rules.isolation is IsolationKind.VM:
+        raise ServiceError(
+            ProblemCode.MANIFEST_REJECTED,
+            f"submission.yaml says `needs: gpu`, but stage {stage.name} plays with isolation {IsolationKind.VM}, which "
+            "has none; leave it out.",
+        )
 
 
 def expect_upload(session: Session, quotas: Quotas, by: Principal, announced: AnnouncedUpload) -> Team:

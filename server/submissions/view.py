@@ -32,7 +32,7 @@ from .kinds import SERVED_KINDS
 
 PlacesOf = Callable[[Stage], PlacesOfBoards]
 
-WorkersOf = Callable[[str, str, tuple[str, ...]], WorkersView]
+WorkersOf = Callable[[str, str, tuple[str, ...], bool], WorkersView]
 """Finds workers by evaluator version, track and tasks."""
 
 
@@ -129,7 +129,9 @@ def _view(runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
         description=show_description(submission, shown.by, shown.names),
         evaluation=evaluation_view(newest, shown.fleet.alive, shown.evaluations),
         evaluations=[summary_view(evaluation) for evaluation in shown_runs],
-        workers=shown.workers(newest.evaluator_version, submission.track, tuple(submission.tasks)),
+        workers=shown.workers(
+            newest.evaluator_version, submission.track, tuple(submission.tasks), submission.needs_gpu
+        ),
         unranked=_explain_unranked(newest, shown),
         rank=ranks.get(None),
         task_ranks={task: place for task, place in ranks.items() if task is not None},
@@ -153,14 +155,16 @@ def _explain_unranked(newest: Evaluation, shown: _Shown) -> str | None:
     return explain_unranked_submission(newest.evaluator_version, counted, submission.track)
 
 
-def _workers(known: Fleet, evaluator_version: str, track: str, tasks: tuple[str, ...]) -> WorkersView:
+def _workers(known: Fleet, evaluator_version: str, track: str, tasks: tuple[str, ...], needs_gpu: bool) -> WorkersView:
     """Return who can run some tasks, which may be of several families, each with workers of its own."""
     any_family = known.alive(evaluator_version)
     families = sorted({find_family(track, task) for task in tasks})
-    alive = {family: known.alive(evaluator_version, family).alive for family in families}
-    missing = next((family for family in families if not alive[family]), None)
+    alive = {family: known.alive(evaluator_version, family, needs_gpu=needs_gpu).alive for family in families}
+    missing = next((family for family in families if not known.alive(evaluator_version, family).alive), None)
+    lacks_gpu = needs_gpu and bool(any_family.alive) and not known.alive(evaluator_version, needs_gpu=True).alive
     return WorkersView(
         alive=min(alive.values(), default=any_family.alive),
+        lacks_gpu=lacks_gpu,
         missing_family=missing if any_family.alive else None,
         missing_evaluator=None if any_family.alive or not known.alive().alive else evaluator_version,
         last_heartbeat_at=any_family.last_heartbeat_at,

@@ -20,6 +20,7 @@ class WorkersView(View):
     missing_evaluator: str | None = Field(
         default=None, description="The evaluator that the evaluation began with, where no running worker has it."
     )
+    lacks_gpu: bool = Field(default=False, description="Whether the submission needs a GPU, which none of them has.")
     last_heartbeat_at: datetime | None
 
 
@@ -40,6 +41,7 @@ class WorkerView(View):
     isolation: str
     evaluator_version: str
     families: list[Family] = Field(description="Of whose tasks it can run shards.")
+    has_gpu: bool = Field(description="Whether it plays images that need a GPU.")
     platform_class: str
     started_at: datetime
     heartbeat_at: datetime

@@ -17,6 +17,7 @@ from vitac.envs.vision import optics
 
 from ..limits import Limits
 from ..verdicts import SandboxFailed
+from .gpu import Gpu
 from .image_program import CHANNEL, CHANNEL_VARIABLE, ImageProgram
 from .packages import Interpreter
 
@@ -29,6 +30,8 @@ INSIDE_IMAGE_RUNTIME: Final = "/opt/vitac/image.py"
 INSIDE_IMAGE: Final = "/image"
 INSIDE_CODE: Final = "/opt/vitac/code"
 INSIDE_KERNELS: Final = "/opt/vitac/kernels"
+INSIDE_DRIVER: Final = "/dev/gpu"
+"""Libraries of the GPU's driver, in the one folder of an image in which the sandbox can make names."""
 _RUNTIME: Final = Path(__file__).parents[1] / "runtime" / "agent.py"
 _IMAGE_RUNTIME: Final = _RUNTIME.with_name("image.py")
 _BACK_PROJECTION: Final = Path(optics.__file__)
@@ -180,7 +183,7 @@ def command(
     inside = inside_folder(image)
     files += ["--ro-bind", str(submission.resolve()), inside, "--chdir", inside]
     if image is not None:
-        files += _writable_folders(limits, inside)
+        files += _writable_folders(limits, inside, image.gpu)
     own_uid = uid if current_user_isolation() is UserIsolation.ROOT else None
     return [
         str(program),
@@ -192,7 +195,7 @@ def command(
         *_environment(interpreter),
         "--",
         *([] if image is not None else _drop_privileges(uid)),  # of an image the runtime does so, once it is inside
-        *_process_limits(limits),
+        *_process_limits(limits, has_gpu=image is not None and image.gpu is not None),
         *inside_command(
             interpreter,
             limits,
@@ -244,6 +247,8 @@ def inside_command(
 def _image_order(image: ImageProgram, own_uid: int | None) -> str:
     """Return what the runtime of images is to do, as JSON."""
     variables = {**ENVIRONMENT, **image.variables, **_OWN_FOLDERS, CHANNEL_VARIABLE: str(CHANNEL)}
+    if image.gpu is not None:
+        variables["LD_LIBRARY_PATH"] = ":".join(filter(None, (INSIDE_DRIVER, variables.get("LD_LIBRARY_PATH"))))
     order = {"root": INSIDE_IMAGE, "uid": own_uid, "arguments": image.arguments, "variables": variables}
     return json.dumps({**order, "folder": image.folder, "channel": CHANNEL})
 
@@ -338,15 +343,24 @@ def _files_in_memory(root: Path, passwd: int) -> list[str]:
     return [*arguments, "--perms", "0444", "--file", str(passwd), "/etc/passwd"]
 
 
-def _writable_folders(limits: Limits, root: str = "") -> list[str]:
+def _writable_folders(limits: Limits, root: str = "", gpu: Gpu | None = None) -> list[str]:
     return [
         *("--dev", f"{root}/dev"),
         # Terminals would be one more place where a mode or time stays changed.
         *("--tmpfs", f"{root}/dev/pts", "--remount-ro", f"{root}/dev/pts"),
         *("--perms", "1777", "--size", str(limits.shm_bytes), "--tmpfs", f"{root}/dev/shm"),  # noqa: S108
+        *([] if gpu is None else _gpu_files(gpu, root)),
         *("--remount-ro", f"{root}/dev"),
         *("--perms", "1777", "--size", str(limits.tmp_bytes), "--tmpfs", f"{root}/tmp"),  # noqa: S108
     ]
+
+
+def _gpu_files(gpu: Gpu, root: str) -> Iterator[str]:
+    for node in gpu.devices:
+        yield from ("--dev-bind", str(node), f"{root}/dev/{node.name}")
+    yield from ("--perms", "0755", "--dir", f"{root}{INSIDE_DRIVER}")
+    for name, file in gpu.libraries.items():
+        yield from ("--ro-bind", str(file), f"{root}{INSIDE_DRIVER}/{name}")
 
 
 def _python_files(interpreter: Interpreter) -> list[str]:
@@ -407,11 +421,12 @@ def _drop_privileges(uid: int) -> list[str]:
     return ["/usr/bin/setpriv", "--reuid", str(uid), "--regid", str(uid), "--clear-groups", "--pdeathsig", "KILL", "--"]
 
 
-def _process_limits(limits: Limits) -> list[str]:
+def _process_limits(limits: Limits, *, has_gpu: bool = False) -> list[str]:
     # The control group is to refuse first, for it counts refusals; RLIMIT_NPROC stands in where there is none.
     return [
         "/usr/bin/prlimit",
-        f"--as={limits.address_space_bytes}",
+        # A GPU's memory and the machine's have addresses in each program that uses it, whatever it takes of them.
+        f"--as={'unlimited' if has_gpu else limits.address_space_bytes}",
         f"--nproc={limits.processes + OWN_PROCESSES + 4}",
         f"--nofile={limits.open_files}",
         f"--fsize={limits.file_size_bytes}",

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from .gpu import Gpu
+
 MOUNT_POINTS: Final = ("dev", "proc", "sys", "tmp")
 """Folders at the top of an image that the sandbox has of its own, or leaves empty."""
 CHANNEL: Final = 3
@@ -21,9 +23,11 @@ class ImageProgram:
         arguments: the command.
         variables: environment variables that the image sets.
         folder: working directory inside.
+        gpu: that it needs, of this machine; None: it needs none.
     """
 
     root: Path
     arguments: tuple[str, ...]
     variables: Mapping[str, str]
     folder: str
+    gpu: Gpu | None = None

@@ -113,6 +113,7 @@ class Sandbox:
     ) -> None:
         self._submission = submission if image is None else image.root
         self._image = image
+        self._has_gpu = image is not None and image.gpu is not None
         self._lies_in_memory = image is not None and is_in_memory(image.root)
         self._packages = packages
         self._kind = kind
@@ -199,6 +200,8 @@ class Sandbox:
         self._check_readable()
         if self._image is not None and self._kind is IsolationKind.NONE:
             raise SandboxFailed("A container image plays in a sandbox only; `vitac doctor` says what is missing here.")
+        if self._has_gpu and self._kind is IsolationKind.VM:
+            raise SandboxFailed("The image says `needs: gpu`, which isolation vm has none of; play it in a namespace.")
         extra = gvisor.EXTRA_PROCESSES if self._kind is IsolationKind.VM else 0
         self._group = None
         if self._kind is not IsolationKind.NONE:
@@ -243,7 +246,9 @@ class Sandbox:
             channel=channel,
             status=status,
             seccomp=given_away.enter_context(
-                bubblewrap.open_data(seccomp.filter_program(() if self._image is None else ("chroot",)))
+                bubblewrap.open_data(
+                    seccomp.filter_program(() if self._image is None else ("chroot",), has_gpu=self._has_gpu)
+                )
             ),
             passwd=given_away.enter_context(bubblewrap.open_data(bubblewrap.passwd_file(uid))),
             info=info_write,

@@ -63,8 +63,15 @@ _CLONE_PIDFD: Final = 0x00001000
 _SOCKET_OPTIONS: Final = (2, 3, 4, 6, 7, 8, 9, 13, 16, 17, 18, 19, 20, 21, 30, 31, 38, 39, 66, 67)
 """Type, error, buffers, credentials, time-outs and the like. Not SO_COOKIE, which numbers the sockets of the whole
 machine, nor SO_PEERPIDFD, nor what later kernels add."""
+_LOW_BYTE_ONLY: Final = 0xFFFFFF00
 _IOCTLS: Final = (0x5401, 0x540F, 0x5413, 0x541B, 0x5421, 0x5450, 0x5451)
 """TCGETS (is it a terminal), TIOCGPGRP, TIOCGWINSZ, FIONREAD, FIONBIO, FIONCLEX, FIOCLEX."""
+_GPU_CALLS: Final = ("pipe2",)
+"""The driver's threads wake each other by pipes of the kernel's own, although these are numbered for the whole machine:
+so are many things that a GPU tells of those who used it before."""
+_GPU_IOCTLS: Final = ((0xFF00, 0x4600), (_LOW_BYTE_ONLY, 0), (0xFFFFFFFF, 0x30000001), (0xFFFFFFFF, 0x30000002))
+"""Mask and value of what the driver of a GPU is asked: its own calls, of type F, and those about memory, which are
+small numbers and two large ones. No terminal is asked by such a number."""
 _FCNTLS: Final = (0, 1, 2, 3, 4, 9, 11, 16, 1030, 1032, 1034, 1035, 1037)
 """Neither locks and leases, which sandboxes that run side by side would see on the files that they share (nor is there
 `flock`, `inotify_init` or `statfs`), nor what writes to an open file that later episodes inherit as well: F_SETOWN,
@@ -92,18 +99,24 @@ _LOW_WORD: Final = 0xFFFFFFFF
 
 
 @functools.cache
-def filter_program(further: tuple[str, ...] = ()) -> bytes:
+def filter_program(further: tuple[str, ...] = (), *, has_gpu: bool = False) -> bytes:
     """Return the filter as the BPF program that bubblewrap loads.
 
     Args:
         further: calls that may be made besides, such as those that need a right which is given up first.
+        has_gpu: whether the driver of a GPU may be asked.
 
     Raises:
         SandboxFailed: libseccomp is missing.
     """
     pyseccomp = _load_library()
     syscall_filter = pyseccomp.SyscallFilter(pyseccomp.ERRNO(errno.ENOSYS))
-    _add_rules(syscall_filter, pyseccomp, (*ALLOWED, *further))
+    _add_rules(
+        syscall_filter,
+        pyseccomp,
+        (*ALLOWED, *further, *(_GPU_CALLS if has_gpu else ())),
+        _GPU_IOCTLS if has_gpu else (),
+    )
     with tempfile.TemporaryFile() as file:
         syscall_filter.export_bpf(file)
         file.seek(0)
@@ -130,7 +143,9 @@ def _load_library() -> Any:
     return pyseccomp
 
 
-def _add_rules(syscall_filter: Any, seccomp: Any, allowed: tuple[str, ...]) -> None:
+def _add_rules(
+    syscall_filter: Any, seccomp: Any, allowed: tuple[str, ...], further_ioctls: tuple[tuple[int, int], ...]
+) -> None:
     def add(action: Any, name: str, *conditions: Any) -> None:
         if seccomp.resolve_syscall(seccomp.Arch.NATIVE, name) >= 0:
             syscall_filter.add_rule(action, name, *conditions)
@@ -144,6 +159,8 @@ def _add_rules(syscall_filter: Any, seccomp: Any, allowed: tuple[str, ...]) -> N
     for name in _TIMES_OF_FILES:
         add(seccomp.ERRNO(0), name)
     allow_only("ioctl", 1, _IOCTLS)
+    for mask, value in further_ioctls:
+        allow_only("ioctl", 1, (value,), mask=mask)
     allow_only("fcntl", 1, _FCNTLS)
     allow_only("prctl", 0, _PRCTLS)
     allow_only("clone", 0, (0,), mask=_NEW_NAMESPACE_FLAGS | _CLONE_PIDFD)

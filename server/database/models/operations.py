@@ -4,7 +4,7 @@ from datetime import datetime
 from typing import Any
 from uuid import UUID, uuid4
 
-from sqlalchemy import BigInteger, Float, Text, func
+from sqlalchemy import BigInteger, Float, Text, false, func
 from sqlalchemy.dialects.postgresql import ARRAY, JSONB
 from sqlalchemy.orm import Mapped, mapped_column
 
@@ -16,8 +16,8 @@ from .base import Base, closed_set
 class Worker(Base):
     """A worker process, its last heartbeat and the space on its disk at that time.
 
-    `families` are those of whose tasks it can run shards. `sandbox` is what a policy finds in its sandbox
-    (`evaluator.agent.description`); NULL where it refuses to run any.
+    `families` are those of whose tasks it can run shards, `has_gpu` whether it plays images that need a GPU.
+    `sandbox` is what a policy finds in its sandbox (`evaluator.agent.description`); NULL where it refuses to run any.
     """
 
     __tablename__ = "workers"
@@ -28,6 +28,7 @@ class Worker(Base):
     state: Mapped[WorkerState] = mapped_column(closed_set(WorkerState, "state"))
     evaluator_version: Mapped[str]
     families: Mapped[list[str]] = mapped_column(ARRAY(Text), server_default="{tactile}")
+    has_gpu: Mapped[bool] = mapped_column(server_default=false())
     platform_class: Mapped[str]
     isolation: Mapped[str]
     worker_order: Mapped[WorkerOrder] = mapped_column(

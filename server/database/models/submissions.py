@@ -8,7 +8,7 @@ from sqlalchemy import BigInteger, CheckConstraint, ColumnElement, ForeignKey, I
 from sqlalchemy.dialects.postgresql import JSONB
 from sqlalchemy.ext.hybrid import hybrid_property
 from sqlalchemy.orm import Mapped, mapped_column, relationship
-from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.submission_kinds import Need, SubmissionKind
 
 from ..states import FileRole
 from .accounts import Team
@@ -79,6 +79,11 @@ class Submission(Base):
     chosen_at: Mapped[datetime | None]
     final_of: Mapped[UUID | None] = mapped_column(ForeignKey("submissions.id", ondelete="RESTRICT"), unique=True)
     team: Mapped[Team] = relationship()
+
+    @property
+    def needs_gpu(self) -> bool:
+        """Whether only workers with a GPU can play it."""
+        return bool(self.manifest.get("needs") == Need.GPU)
 
     @hybrid_property
     def is_off_boards(self) -> bool:

@@ -1,10 +1,12 @@
 """Container images play in the sandbox: of a Python of their own, and of a program in C."""
 
+import errno
 import json
 import os
 import shutil
 import subprocess
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +25,9 @@ from images import (
 )
 from submissions import submission_folder
 from vitac.cli.main import main
+from vitac.evaluator.agent.isolation.gpu import find_gpu
 from vitac.evaluator.agent.session import PolicySession
-from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
+from vitac.evaluator.agent.verdicts import PolicyFailed, SandboxFailed, VerdictCode
 from vitac.evaluator.isolation_kinds import IsolationKind
 from vitac.evaluator.submission.image import load_program, unpack_image
 
@@ -196,6 +199,66 @@ def test_a_failing_image_gets_the_verdict_of_any_policy(
     ):
         policy.act({"value": np.zeros(1, np.float32)})
     assert caught.value.verdict is code
+
+
+GPU_PROBE = b"""
+import ctypes, fcntl, json, os
+from vitac_policy import serve
+
+def errno_of(call, *arguments):
+    try:
+        call(*arguments)
+    except OSError as error:
+        return error.errno
+
+class Policy:
+    def act(self, observation):
+        print(json.dumps({
+            "path": os.environ["LD_LIBRARY_PATH"].split(":")[0], "library": open("/dev/gpu/libcuda.so.1").read(),
+            "node": open("/dev/nvidia0", "rb").read(4).hex(), "asked": errno_of(fcntl.ioctl, open("/dev/zero"), 0x4601),
+            "left": sorted(os.listdir("/dev/gpu")), "pipe": ctypes.CDLL(None).pipe2((ctypes.c_int * 2)(), 0),
+        }), flush=True)
+        return [0.0]
+
+serve(Policy())
+"""
+
+
+def test_an_image_that_needs_a_gpu_gets_nodes_and_driver_and_may_ask_it(image_folder: Path, tmp_path: Path) -> None:
+    tmp_path.chmod(0o755)
+    for node in ("nvidia0", "nvidiactl"):
+        (tmp_path / node).symlink_to("/dev/zero")
+    (tmp_path / "driver").write_text("the driver")
+    gpu = find_gpu(tmp_path, f"\tlibcuda.so.1 (libc6,x86-64) => {tmp_path}/driver\n")
+    (image_folder / "root/app/play.py").write_bytes(GPU_PROBE)
+    program = replace(load_program(image_folder), gpu=gpu)
+    with (
+        PolicySession(image_folder, image=program) as session,
+        session.episode(task="gpu", action_shape=(1,)) as policy,
+    ):
+        policy.act({"value": np.zeros(1, np.float32)})
+        found = json.loads(policy.output)
+    assert found == {
+        "path": "/dev/gpu", "library": "the driver", "node": "00000000", "asked": errno.ENOTTY,
+        "left": ["libcuda.so.1"], "pipe": 0,
+    }  # fmt: skip
+
+
+def test_cuda_begins_in_an_image_that_needs_a_gpu(image_folder: Path) -> None:
+    try:
+        gpu = find_gpu()
+    except SandboxFailed as error:
+        pytest.skip(str(error))
+    (image_folder / "root/app/play.py").write_bytes(
+        b"import ctypes\nfrom vitac_policy import serve\nclass Policy:\n    def act(self, observation):\n"
+        b"        return [float(ctypes.CDLL('libcuda.so.1').cuInit(0))]\nserve(Policy())\n"
+    )
+    program = replace(load_program(image_folder), gpu=gpu)
+    with (
+        PolicySession(image_folder, image=program) as session,
+        session.episode(task="gpu", action_shape=(1,)) as policy,
+    ):
+        assert policy.act({"value": np.zeros(1, np.float32)})[0] == 0.0
 
 
 @pytest.fixture(scope="module")

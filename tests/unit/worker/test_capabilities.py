@@ -114,6 +114,16 @@ def test_a_worker_whose_sandboxes_read_the_disk_takes_no_shards_of_sealed_lists_
     assert "sealed lists: expected VITAC_SANDBOX_FILES to be memory, got disk" in capabilities.explain_unfit({})
 
 
+def test_a_worker_that_declares_a_gpu_takes_images_that_need_one_beside_all_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    install(monkeypatch)
+    requirement = name_requirement(evaluator_version(), sealed=True, needs_gpu=True)
+    others = capabilities.list_abilities()
+    assert requirement not in others
+    assert {requirement, *others} < set(capabilities.list_abilities(has_gpu=True))
+
+
 @pytest.mark.parametrize("has_vm", [True, False])
 def test_a_worker_takes_stages_with_isolation_vm_where_a_policy_can_answer_under_it(
     monkeypatch: pytest.MonkeyPatch, has_vm: bool

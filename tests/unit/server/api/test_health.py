@@ -18,6 +18,7 @@ def test_healthy_and_ready_service_says_so_without_workers(service: Service) -> 
         "last_heartbeat_at": None,
         "missing_family": None,
         "missing_evaluator": None,
+        "lacks_gpu": False,
     }
 
 

@@ -6,11 +6,12 @@ from typing import Any
 
 import pytest
 from cubes_track import FILE
-from service_factories import make_principal, make_settings, submit, submit_to
+from service_factories import make_principal, make_settings, make_upload, submit, submit_to
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 from submission_steps import make_worker, view_of
 from vitac.envs.tasks.definition import Family
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks.registry import find_version
 from vitac.evaluator.version import evaluator_version
 from vitac.server.database.engine import Database
@@ -19,6 +20,7 @@ from vitac.server.database.states import WorkState
 from vitac.server.principals import CONSOLE
 from vitac.server.queue.work import name_requirement
 from vitac.server.queue.workers import fleet
+from vitac.server.submissions import creation
 from vitac.server.tracks import find_family
 
 TACTILE = name_requirement(evaluator_version())
@@ -113,6 +115,20 @@ def test_tasks_of_ours_need_no_other_family(database: Database) -> None:
         ours = submit(session, make_principal(session, "Others"))
     shown = view_of(database, CONSOLE, ours).workers
     assert (shown.alive, shown.missing_family) == (1, None)
+
+
+def test_an_image_that_needs_a_gpu_waits_for_a_worker_that_declares_one(database: Database) -> None:
+    make_worker(database)
+    with database.transaction() as session:
+        principal = make_principal(session, "Others")
+        upload = make_upload(kind=SubmissionKind.IMAGE, manifest={"needs": "gpu"})
+        ours = creation.create(session, principal, upload)[0]
+        assert waiting(session) == {name_requirement(evaluator_version(), needs_gpu=True): 10}
+    shown = view_of(database, CONSOLE, ours).workers
+    assert (shown.alive, shown.lacks_gpu) == (0, True)
+    make_worker(database, has_gpu=True)
+    shown = view_of(database, CONSOLE, ours).workers
+    assert (shown.alive, shown.lacks_gpu) == (1, False)
 
 
 def test_workers_are_counted_by_family(database: Database) -> None:
