@@ -4,6 +4,7 @@ import sys
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -315,6 +316,9 @@ def _print_summary(evaluation: "LocalEvaluation", manifest: "SubmissionManifest"
             _print_forces(score.forces)
         _print_failures(evaluation.records)
         print("seconds: " + ", ".join(f"{name} {seconds:.1f}" for name, seconds in _seconds(evaluation).items()))
+        if answers_s := [answer_s for record in evaluation.records for answer_s in record.timings.answers_s]:
+            typical_ms, longest_ms = 1e3 * median(answers_s), 1e3 * max(answers_s)
+            print(f"answers of the policy server: {typical_ms:.1f} ms in the median, {longest_ms:.1f} ms at most")
         print(f"result hash {evaluation.result_hash}")
 
 

@@ -167,6 +167,7 @@ class _Playing:
     isolation = None
     cpu_s = 0.0
     channel_s = 0.0
+    answers_s: tuple[float, ...] = ()
     output = ""
 
     def __init__(self, play: Callable[["_Playing"], EpisodeRecord]) -> None:

@@ -366,6 +366,7 @@ class EpisodePolicy:
         self._cpu_start_s = sandbox.cpu_s()
         self.cpu_s = 0.0
         """CPU time of the policy so far, all its processes together, while it is asked and meanwhile [s]."""
+        self.answers_s: tuple[float, ...] = ()
         self.channel_s = 0.0
         """Wall time of the exchanges that the policy did not compute in [s]."""
 

@@ -71,6 +71,10 @@ class Policy(Protocol):
         """Time between question and answer that the policy did not compute."""
 
     @property
+    def answers_s(self) -> Sequence[float]:
+        """Of a policy elsewhere the time of each answer."""
+
+    @property
     def output(self) -> str:
         """The end of what it has printed in the episode."""
 
@@ -160,6 +164,7 @@ class _Trace:
     failure: PolicyFailure | None = None
     policy_s: float = 0.0
     channel_s: float = 0.0
+    answers_s: Sequence[float] = ()
     output: str = ""
 
 
@@ -189,6 +194,7 @@ def run_episode(
         markers_s=env.marker_cpu_s - markers_s,
         policy_s=trace.policy_s,
         channel_s=trace.channel_s,
+        answers_s=tuple(round(answer_s, 6) for answer_s in trace.answers_s),
         wall_s=perf_counter() - started,
     )
     return _record(task, episode, trace, timings)
@@ -211,6 +217,7 @@ def _play_or_fail(
                 _play(env, task, policy, observation, trace, reading)
             finally:
                 trace.policy_s, trace.channel_s, trace.output = policy.cpu_s, policy.channel_s, policy.output
+                trace.answers_s = policy.answers_s
     except PolicyFailed as failed:
         if trace.outcome is not None:
             return  # It failed after its last action; what it did in the episode stands.
@@ -277,6 +284,11 @@ class _LatePolicy:
     def channel_s(self) -> float:
         """Time between question and answer that the policy did not compute."""
         return self._policy.channel_s
+
+    @property
+    def answers_s(self) -> Sequence[float]:
+        """Of a policy elsewhere the time of each answer."""
+        return self._policy.answers_s
 
     @property
     def output(self) -> str:

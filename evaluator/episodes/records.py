@@ -135,6 +135,8 @@ class Timings(StrictModel):
     markers_s: NonNegativeFloat = 0.0
     policy_s: NonNegativeFloat = 0.0
     channel_s: NonNegativeFloat = 0.0
+    answers_s: tuple[NonNegativeFloat, ...] = ()
+    """Of a policy elsewhere: from each question to its answer."""
     wall_s: NonNegativeFloat = 0.0
 
 

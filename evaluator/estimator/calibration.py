@@ -233,6 +233,7 @@ class EstimatorPolicy:
     """The estimator within one episode; attributes as `episodes.episode.Policy` says."""
 
     channel_s = 0.0
+    answers_s: tuple[float, ...] = ()
     output = ""
 
     def __init__(self, controller: Controller, *, is_blind: bool) -> None:

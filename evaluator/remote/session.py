@@ -173,8 +173,13 @@ class RemotePolicy:
         self._action_shape = action_shape
         self._clouds = clouds
         self._actions: deque[NDArray[np.float32]] = deque()
-        self.channel_s = 0.0
-        """Time between question and answer [s]."""
+        self.answers_s: list[float] = []
+        """From each question to its answer [s]."""
+
+    @property
+    def channel_s(self) -> float:
+        """Time between questions and answers [s]."""
+        return sum(self.answers_s)
 
     def act(self, observation: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
         """Return the next action of the last answer, or the first of a new one.
@@ -188,6 +193,6 @@ class RemotePolicy:
             try:
                 answer = self._session.ask(self._dialogue, add_clouds(self._clouds, observation), self._prompt)
             finally:
-                self.channel_s += time.monotonic() - started_s
+                self.answers_s.append(time.monotonic() - started_s)
             self._actions.extend(self._session.rows(answer, self._action_shape))
         return self._actions.popleft()

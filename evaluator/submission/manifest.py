@@ -112,8 +112,8 @@ class SubmissionManifest(StrictModel):
         """
         if self.needs is not None:
             raise ManifestRejected(
-                f"{MANIFEST_NAME} says `needs: {self.needs}`, which container images get, each of whose episodes starts "
-                "anew: leave it out, or submit an image."
+                f"{MANIFEST_NAME} says `needs: {self.needs}`, which only container images get: leave it out, or "
+                "submit an image (docs/images.md)."
             )
 
     def server(self) -> RemoteServer:

@@ -74,6 +74,9 @@ class Player(StrEnum):
     """The standard estimator with all markers at rest."""
 
 
+_DELAY_STEPS_MAX: Final = 16
+
+
 class WhileThinking(StrEnum):
     """What the robot does in the env steps that pass while a policy thinks."""
 
@@ -202,10 +205,18 @@ class Task(StrictModel):
     delay_steps: int = Field(
         default=0,
         ge=0,
-        le=16,
+        le=_DELAY_STEPS_MAX,
         description="Env steps that pass between an observation and the action it is answered by.",
     )
     while_thinking: WhileThinking = Field(default=WhileThinking.STOP, description="What is done in them.")
+    delay_ms: int | None = Field(
+        default=None,
+        ge=0,
+        description="The same in milliseconds: `delay_steps` is delay_ms / control_period_ms, rounded up.",
+    )
+    control_period_ms: PositiveInt | None = Field(
+        default=None, description="Time that an env step stands for, from one action to the next."
+    )
     player: Player = Field(default=Player.POLICY, description="Who chooses the actions.")
     station_of: Word | None = Field(
         default=None, description="Played on a station: the simulated task whose name policies get at a reset."
@@ -254,6 +265,24 @@ class Task(StrictModel):
     def drawn_quantities(self) -> tuple[Quantity, ...]:
         """Return what is drawn for every episode, in the order of the environment's table."""
         return tuple(quantity for quantity in self.definition.quantities if quantity.name in self.draws)
+
+    @model_validator(mode="after")
+    def _delay_is_whole_env_steps(self) -> Self:
+        if self.delay_ms is None:
+            return self
+        if self.control_period_ms is None:
+            raise ValueError(
+                f"delay_ms is {self.delay_ms}, but control_period_ms is missing; say what an env step takes"
+            )
+        steps = -(-self.delay_ms // self.control_period_ms)
+        if "delay_steps" in self.model_fields_set and self.delay_steps != steps:
+            raise ValueError(f"delay_steps is {self.delay_steps}, but delay_ms gives {steps}; leave one of them out")
+        if steps > _DELAY_STEPS_MAX:
+            raise ValueError(
+                f"delay_ms is {self.delay_ms}, which is {steps} env steps, expected at most {_DELAY_STEPS_MAX}"
+            )
+        object.__setattr__(self, "delay_steps", steps)
+        return self
 
     @model_validator(mode="after")
     def _environment_is_known(self) -> Self:
@@ -334,6 +363,7 @@ class Task(StrictModel):
         # A task without settings, methods or a sealed list keeps the digest that it had before there were any.
         tables = [observed, done, *([measured] if measured else [])]
         absent: dict[str, Any] = {"profiles": True}  # never scored
+        absent |= {"delay_ms": True, "control_period_ms": True}  # other words for delay_steps
         absent |= {name: True for name in ("settings", "draws", "optional_observables") if not getattr(self, name)}
         absent |= {"ranking": True}  # another order of the same scores
         absent |= {"force_limit_n": True} if self.force_limit_n is None else {}
@@ -343,6 +373,27 @@ class Task(StrictModel):
         absent |= {"episode_list": {"commitment"}} if self.episode_list.commitment is None else {}
         own = self.model_dump_json(exclude=absent)
         return hashlib.sha256((own + json.dumps(tables)).encode()).hexdigest()
+
+
+def _under_delays(name: str, task: Mapping[str, Any]) -> dict[str, Any]:
+    """Return copies of a task of a file by name, one for each of its `delays_ms`.
+
+    Raises:
+        ValueError: they are no list of different whole numbers.
+    """
+    delays = task["delays_ms"]
+    if not isinstance(delays, list) or any(type(each) is not int for each in delays) or len({*delays}) != len(delays):
+        raise ValueError(f"tasks.{name}.delays_ms is {delays!r:.80}, expected different whole numbers: [0, 50, 100]")
+    rest = {key: value for key, value in task.items() if key != "delays_ms"}
+    return {
+        (key := f"{name}-{delay}ms" if delay else name): {
+            **rest,
+            "name": key,
+            **({"title": f"{task.get('title', name)}, {delay} ms"} if delay else {}),
+            "delay_ms": delay,
+        }
+        for delay in delays
+    }
 
 
 class Track(StrictModel):
@@ -366,6 +417,20 @@ class Track(StrictModel):
     packages: tuple[PackageSet, ...] = ()
     scoring_notes: tuple[str, ...] = ()
     tasks: dict[str, Task] = Field(min_length=1)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _play_tasks_under_their_delays(cls, data: Any) -> Any:
+        """Make a task for each of the `delays_ms` of one: that of 0 has its name, the others theirs with the delay."""
+        tasks = data.get("tasks") if isinstance(data, dict) else None
+        if not isinstance(tasks, dict) or not any(
+            isinstance(task, dict) and "delays_ms" in task for task in tasks.values()
+        ):
+            return data
+        each: dict[str, Any] = {}
+        for name, task in tasks.items():
+            each |= _under_delays(name, task) if isinstance(task, dict) and "delays_ms" in task else {name: task}
+        return data | {"tasks": each}
 
     @model_validator(mode="after")
     def _tasks_carry_their_names(self) -> Self:
@@ -415,6 +480,15 @@ class Track(StrictModel):
         if name not in self.tasks:
             raise UnknownTask(f"Track {self.name!r} has no task {name!r}; its tasks are {', '.join(self.tasks)}.")
         return self.tasks[name]
+
+    def list_delays(self) -> list[list[Task]]:
+        """Return the tasks that are the same but for their delay, in its order: of each several."""
+        alike: dict[tuple[str, WhileThinking], list[Task]] = {}
+        same = {"name": "", "title": "", "description": "", "delay_steps": 0}
+        for task in self.tasks.values():
+            alike.setdefault((task.model_copy(update=same).digest(), task.while_thinking), []).append(task)
+        ordered = (sorted(tasks, key=lambda task: (task.delay_steps, task.delay_ms or 0)) for tasks in alike.values())
+        return [tasks for tasks in ordered if len(tasks) > 1]
 
     @property
     def has_maniskill(self) -> bool:

@@ -96,6 +96,7 @@ class FakePolicy:
 
     cpu_s = 0.0625
     channel_s = 0.03125
+    answers_s = ()
     output = "I am thinking.\n"
 
     def __init__(self, answer: Answer, started: int) -> None:

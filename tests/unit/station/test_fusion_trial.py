@@ -35,6 +35,7 @@ class Guided:
 
     isolation: Isolation | None = None
     cpu_s = channel_s = 0.0
+    answers_s = ()
     output = ""
 
     def __init__(self, way: NDArray[np.float64]) -> None:

@@ -33,6 +33,7 @@ class Scripted:
 
     isolation: Isolation | None = None
     cpu_s = channel_s = 0.0
+    answers_s = ()
     output = ""
 
     def __init__(self, act: Act) -> None:

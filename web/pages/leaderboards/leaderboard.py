@@ -19,6 +19,7 @@ from vitac.server.views.scores import TaskRateView, TaskScoreView
 
 from ...plots.axis import Figure
 from ...plots.dates import DatedRate, ranks_by_date, rates_by_date
+from ...plots.delays import success_by_delay
 from ...plots.files import find_plot_file
 from ...plots.shake_up import draw_shake_up
 from ...rendering import steps, words
@@ -82,7 +83,8 @@ async def leaderboard(request: Request) -> Response:
     counted = list(track.tasks.values()) if task is None else [track.tasks[task]]
     dates, ranks_plot = _dates(site, board, own_names), _draw_ranks(site, board, values["ranks"])
     shake_up = draw_shake_up(values["shake_up"]) if values["shake_up"] else None
-    if plot := find_plot_file(request, filter(None, (dates, ranks_plot, shake_up))):
+    delays = success_by_delay(track, board.entries) if _is_combined(track, task) else []
+    if plot := find_plot_file(request, filter(None, (dates, ranks_plot, shake_up, *delays))):
         return plot
     return page(
         request,
@@ -97,6 +99,7 @@ async def leaderboard(request: Request) -> Response:
         dates=dates,
         ranks_plot=ranks_plot,
         shake_up_plot=shake_up,
+        delay_plots=delays,
         list_kind=board.list_kind.value,
         ranked=sum(entry.rank is not None for entry in board.entries),
         episodes=sum(len(definition.episodes) for definition in counted),

@@ -133,6 +133,8 @@ def test_a_task_without_settings_methods_and_commitment_keeps_the_digest_from_be
             "optional_observables": True,
             "force_limit_n": True,
             "delay_steps": True,
+            "delay_ms": True,
+            "control_period_ms": True,
             "while_thinking": True,
             "player": True,
             "station_of": True,
@@ -142,6 +144,44 @@ def test_a_task_without_settings_methods_and_commitment_keeps_the_digest_from_be
     )
     content += json.dumps([observed, done])
     assert task.digest() == hashlib.sha256(content.encode()).hexdigest()
+
+
+def under_delays(content: dict[str, Any], **changes: Any) -> Track:
+    del content["tasks"]["lock-opening"]
+    content["tasks"]["peg-insertion"] |= {"control_period_ms": 50, "while_thinking": "hold"} | changes
+    return parse(content)
+
+
+def test_a_task_of_several_delays_is_one_for_each_in_env_steps_rounded_up(content: dict[str, Any]) -> None:
+    track = under_delays(content, delays_ms=[0, 20, 50, 100, 200])
+    assert {name: task.delay_steps for name, task in track.tasks.items()} == {
+        "peg-insertion": 0, "peg-insertion-20ms": 1, "peg-insertion-50ms": 1, "peg-insertion-100ms": 2,
+        "peg-insertion-200ms": 4,
+    }  # fmt: skip
+    assert track.tasks["peg-insertion-20ms"].title == "Peg insertion, 20 ms"
+    assert [[task.delay_ms for task in tasks] for tasks in track.list_delays()] == [[0, 20, 50, 100, 200]]
+    assert Track.model_validate_json(track.model_dump_json()) == track
+
+
+def test_a_task_without_delay_keeps_its_digest_whatever_an_env_step_takes(content: dict[str, Any]) -> None:
+    before = parse(content).tasks["peg-insertion"].digest()
+    assert under_delays(content, delays_ms=[0, 60]).tasks["peg-insertion"].digest() == before
+
+
+@pytest.mark.parametrize(
+    ("changes", "part"),
+    [
+        ({"delays_ms": [0, 50, 50]}, r"delays_ms is \[0, 50, 50\], expected different whole numbers"),
+        ({"delays_ms": "50"}, "delays_ms is '50', expected different whole numbers"),
+        ({"delay_ms": 50, "control_period_ms": None}, "delay_ms is 50, but control_period_ms is missing"),
+        ({"delay_ms": 50, "delay_steps": 2}, "delay_steps is 2, but delay_ms gives 1; leave one of them out"),
+        ({"delay_ms": 851}, "delay_ms is 851, which is 18 env steps, expected at most 16"),
+        ({"delay_ms": -1}, "delay_ms"),
+    ],
+)
+def test_a_delay_that_is_none_is_refused(content: dict[str, Any], changes: dict[str, Any], part: str) -> None:
+    with pytest.raises(DocumentRejected, match=part):
+        under_delays(content, **changes)
 
 
 def test_blocks_are_played_one_after_the_other_each_as_often_as_it_says(content: dict[str, object]) -> None:
