@@ -12,6 +12,7 @@ import shutil
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any, BinaryIO, Final, TypeVar
 
@@ -19,6 +20,7 @@ import msgspec
 
 from ..agent.isolation.image_program import ImageProgram
 from ..agent.limits import Limits
+from ..tracks import list_tracks, load_track
 from .layers import ImageFiles
 from .manifest import ManifestRejected, SubmissionManifest, load_manifest
 from .names import MANIFEST_NAME, ArchiveFault, ArchiveRejected, listed
@@ -124,17 +126,32 @@ def unpack_image(source: Path, destination: Path, limits: Limits | None = None) 
             config = saved.config()
             program = _find_program(config)
             files = ImageFiles(contents, limits)
-            for layer in saved.layers(config, limits):
+            for layer in saved.layers(config):
                 files.add_layer(layer)
         files.write(folder / _ROOT_NAME)
         (folder / _PROGRAM_NAME).write_bytes(msgspec.json.encode(program))
-        _take_manifest(folder)
+        _check_size(_take_manifest(folder).track, max(saved.n_bytes, saved.layer_bytes), limits)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
     finally:
         shutil.rmtree(contents, ignore_errors=True)
     return folder
+
+
+def largest_image_bytes(limits: Limits) -> int:
+    """Return the size of the largest image that any track takes [bytes]: an image says at its end which it is for."""
+    return max(limits.image_bytes, *(load_track(name).image_bytes or 0 for name in list_tracks()))
+
+
+def list_layers(source: Path, limits: Limits | None = None) -> list[tuple[int, int]]:
+    """Return where the layers of an image lie in its file, as (start, length).
+
+    Raises:
+        ArchiveRejected: it is none, or damaged.
+    """
+    with _opened(source, limits or Limits()) as saved:
+        return saved.layer_places()
 
 
 def image_digest(source: Path, limits: Limits | None = None) -> str:
@@ -171,10 +188,20 @@ def _take_manifest(folder: Path) -> SubmissionManifest:
     return manifest
 
 
+def _check_size(track: str, n_bytes: int, limits: Limits) -> None:
+    most = load_track(track).image_bytes or limits.image_bytes
+    if n_bytes > most:
+        raise ArchiveRejected(
+            ArchiveFault.UNPACKED_TOO_LARGE,
+            f"The image has {n_bytes} bytes, packed or unpacked, expected at most {most}, which {track} takes; "
+            "install less.",
+        )
+
+
 @contextmanager
 def _opened(source: Path, limits: Limits) -> "Iterator[_Saved]":
     with source.open("rb") as file:
-        yield _Saved(file, limits)
+        yield _Saved(file, replace(limits, image_bytes=largest_image_bytes(limits)))
 
 
 class _Saved:
@@ -182,7 +209,8 @@ class _Saved:
 
     def __init__(self, file: BinaryIO, limits: Limits) -> None:
         self._file = file
-        self._check_packed(limits)
+        self._limits = limits
+        self._check_packed()
         self._places: dict[str, tuple[int, int]] = {}
         """Where the content of each file begins, and its length."""
         links: dict[str, str] = {}
@@ -197,11 +225,12 @@ class _Saved:
         self._places |= {name: self._places[to] for name, to in links.items() if to in self._places}
         self._config_name, self._layer_names = self._find_parts()
 
-    def _check_packed(self, limits: Limits) -> None:
-        n_bytes = self._file.seek(0, io.SEEK_END)
-        if n_bytes > limits.image_bytes:
+    def _check_packed(self) -> None:
+        self.n_bytes = self._file.seek(0, io.SEEK_END)
+        if self.n_bytes > self._limits.image_bytes:
             raise ArchiveRejected(
-                ArchiveFault.TOO_LARGE, f"The image has {n_bytes} bytes, expected at most {limits.image_bytes}."
+                ArchiveFault.TOO_LARGE,
+                f"The image has {self.n_bytes} bytes, expected at most {self._limits.image_bytes}.",
             )
         self._file.seek(0)
         if self._file.read(len(_GZIP)) == _GZIP:
@@ -209,6 +238,10 @@ class _Saved:
                 "The image is packed as a whole, expected a tar, whose layers may be: unpack it (`gunzip`)."
             )
         self._file.seek(0)
+
+    def layer_places(self) -> list[tuple[int, int]]:
+        """Return where the layers lie in the file, as (start, length)."""
+        return [self._places[name] for name in self._layer_names if name in self._places]
 
     def config_bytes(self) -> bytes:
         """Return the configuration as it is stored."""
@@ -233,14 +266,15 @@ class _Saved:
             )
         return config
 
-    def layers(self, config: _Config, limits: Limits) -> Iterator[Iterator[TarEntry]]:
+    def layers(self, config: _Config) -> Iterator[Iterator[TarEntry]]:
         """Yield the entries of each layer from the lowest on; a layer is read to its end before the next."""
-        left = limits.image_bytes
+        left = self._limits.image_bytes
+        self.layer_bytes = 0
         for number, (name, diff_id) in enumerate(zip(self._layer_names, config.rootfs.diff_ids, strict=True), 1):
-            layer = _Layer(self._open(name), what=f"Layer {number}", left=left, limits=limits)
+            layer = _Layer(self._open(name), what=f"Layer {number}", left=left, limits=self._limits)
             yield layer.entries()
             layer.finish(diff_id, _digest_in(name))
-            left = layer.left
+            left, self.layer_bytes = layer.left, self.layer_bytes + left - layer.left
 
     def _find_parts(self) -> tuple[str, list[str]]:
         """Return the names of the configuration and of the layers, from the lowest on."""

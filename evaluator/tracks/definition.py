@@ -415,6 +415,9 @@ class Track(StrictModel):
     has_sensor: bool = False
     accepts: tuple[SubmissionKind, ...] = Field(min_length=1)
     packages: tuple[PackageSet, ...] = ()
+    image_bytes: PositiveInt | None = Field(
+        default=None, description="Largest container image, packed and unpacked; null: as the service limits it."
+    )
     scoring_notes: tuple[str, ...] = ()
     tasks: dict[str, Task] = Field(min_length=1)
 

@@ -1,14 +1,17 @@
 """Uploaded files under their SHA-256, in a local folder or a bucket; written once, never changed."""
 
 import hashlib
+import json
 import secrets
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 
 import obstore
 from obstore.exceptions import BaseError, NotFoundError
@@ -27,6 +30,10 @@ PARTS_AT_ONCE = 2
 _COPY_BYTES = 1 << 20
 PART_FOLDER = "partial"
 """Where the parts of uploads wait that are not complete; by upload."""
+LIST_FOLDER = "pieces"
+"""Lists of the pieces of files that are stored in pieces."""
+_PIECE_BYTES = 64 << 10
+"""Size from which a piece is a stored file of its own."""
 PROBE_FOLDER = "probe"
 RECENTLY = timedelta(hours=12)
 """A file that is stored again within this time is left as it is; housekeeping leaves files alone for longer."""
@@ -34,6 +41,15 @@ RECENTLY = timedelta(hours=12)
 
 RETRIES: "RetryConfig" = {"max_retries": 5, "retry_timeout": timedelta(seconds=20)}
 """Retries of failed requests to a bucket; by default an upload would hang for three minutes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Piece:
+    """A part of a file; `sha256` is empty where it is too small for a stored file of its own."""
+
+    start: int
+    n_bytes: int
+    sha256: str = ""
 
 
 class StoredFileLost(ServiceError):
@@ -55,7 +71,11 @@ def _open(url: str) -> ObjectStore:
 
 
 class BlobStore:
-    """Content-addressed files. Keys are `sha256/ab/abcd...`."""
+    """Content-addressed files. Keys are `sha256/ab/abcd...`.
+
+    Of a file that is stored in pieces `pieces/ab/abcd...` has the list, in order: what is large is a stored file
+    itself, which other files may share, and what is small stands in the list.
+    """
 
     def __init__(self, store: ObjectStore) -> None:
         self._store = store
@@ -75,21 +95,63 @@ class BlobStore:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         return cls(LocalStore(folder))
 
-    def put(self, path: Path, sha256: str) -> None:
+    def put(self, path: Path, sha256: str, pieces: Sequence[Piece] = ()) -> None:
         """Store a file under its digest; one that was stored recently is not written again.
 
         One that has been there for long is stored again, so that whoever removes old files takes it for a new one.
+
+        Args:
+            path: the file.
+            sha256: its digest.
+            pieces: all of it in order, from `cut`; each is stored once, whatever file it is of.
 
         Raises:
             ServiceError: the store cannot be written.
         """
         with _working():
-            stored_at = self._find_stored_time(sha256)
-            if stored_at is None or stored_at <= datetime.now(UTC) - RECENTLY:
+            if not pieces:
                 with path.open("rb") as file:
-                    obstore.put(
-                        self._store, make_key(sha256), file, chunk_size=PART_BYTES, max_concurrency=PARTS_AT_ONCE
-                    )
+                    self._put(sha256, file)
+                return
+            for piece in pieces:
+                if piece.sha256:
+                    self._put(piece.sha256, _read_piece(path, piece))
+            listed = [
+                {"sha256": piece.sha256} if piece.sha256 else {"data": b"".join(_read_piece(path, piece)).hex()}
+                for piece in pieces
+            ]
+            obstore.put(self._store, _list_key(sha256), json.dumps(listed).encode())
+
+    def _put(self, sha256: str, content: IO[bytes] | Iterator[bytes]) -> None:
+        stored_at = self._find_time(make_key(sha256))
+        if stored_at is None or stored_at <= datetime.now(UTC) - RECENTLY:
+            obstore.put(self._store, make_key(sha256), content, chunk_size=PART_BYTES, max_concurrency=PARTS_AT_ONCE)
+
+    def list_pieces(self, sha256: str) -> list[str]:
+        """Return the digests of the stored files that a file consists of; none of one that is stored whole.
+
+        Raises:
+            ServiceError: the store cannot be read.
+        """
+        with _working():
+            return [piece["sha256"] for piece in self._read_list(sha256) if "sha256" in piece]
+
+    def list_used_pieces(self) -> set[str]:
+        """Return the digests of the stored files that any file consists of.
+
+        Raises:
+            ServiceError: the store cannot be read.
+        """
+        with _working():
+            listed = [meta["path"] for batch in obstore.list(self._store, prefix=LIST_FOLDER) for meta in batch]
+        return {piece for path in listed for piece in self.list_pieces(path.rsplit("/", 1)[-1])}
+
+    def _read_list(self, sha256: str) -> list[dict[str, str]]:
+        try:
+            listed: list[dict[str, str]] = json.loads(bytes(obstore.get(self._store, _list_key(sha256)).bytes()))
+        except (NotFoundError, FileNotFoundError):
+            return []
+        return listed
 
     def fetch(self, sha256: str, destination: Path) -> None:
         """Write a stored file to a local path and check its digest on the way.
@@ -116,13 +178,20 @@ class BlobStore:
         digest = hashlib.sha256()
         with _working():
             try:
-                for chunk in obstore.get(self._store, make_key(sha256)).stream(min_chunk_size=_COPY_BYTES):
+                for chunk in self._read_chunks(sha256):
                     digest.update(chunk)
                     yield chunk
             except (NotFoundError, FileNotFoundError) as error:
                 raise StoredFileLost(f"The stored file {sha256} is gone.") from error
         if digest.hexdigest() != sha256:
             raise StoredFileLost(f"The stored file {sha256} was altered in the store.")
+
+    def _read_chunks(self, sha256: str) -> Iterator[bytes]:
+        for piece in self._read_list(sha256) or [{"sha256": sha256}]:
+            if "data" in piece:
+                yield bytes.fromhex(piece["data"])
+            else:
+                yield from obstore.get(self._store, make_key(piece["sha256"])).stream(min_chunk_size=_COPY_BYTES)
 
     def holds(self, sha256: str) -> bool:
         """Return whether a file of that digest is stored."""
@@ -146,14 +215,17 @@ class BlobStore:
         """
         with _working():
             self._delete(make_key(sha256))
+            self._delete(_list_key(sha256))
 
     def list_older_than(self, age: timedelta) -> list[str]:
-        """Return the digests of all files that were stored at least this long ago.
+        """Return the digests of all files that were stored at least this long ago, but for pieces of others.
 
         Raises:
             ServiceError: the store cannot be read.
         """
-        return [path.rsplit("/", 1)[-1] for path in self._list_older_paths(age, "sha256")]
+        paths = [path for folder in ("sha256", LIST_FOLDER) for path in self._list_older_paths(age, folder)]
+        used = self.list_used_pieces()
+        return [digest for digest in (path.rsplit("/", 1)[-1] for path in paths) if digest not in used]
 
     def put_part(self, upload: str, name: str, content: bytes) -> str:
         """Store a part of an upload that is not complete and return its key.
@@ -242,8 +314,11 @@ class BlobStore:
             checking.set_exception(error)
 
     def _find_stored_time(self, sha256: str) -> datetime | None:
+        return self._find_time(_list_key(sha256)) or self._find_time(make_key(sha256))
+
+    def _find_time(self, key: str) -> datetime | None:
         try:
-            return obstore.head(self._store, make_key(sha256))["last_modified"]
+            return obstore.head(self._store, key)["last_modified"]
         except (NotFoundError, FileNotFoundError):
             return None
 
@@ -260,6 +335,37 @@ class BlobStore:
 def make_key(sha256: str) -> str:
     """Return the key of a digest; two characters make a folder, so that none gets too many files."""
     return f"sha256/{sha256[:2]}/{sha256}"
+
+
+def _list_key(sha256: str) -> str:
+    return f"{LIST_FOLDER}/{sha256[:2]}/{sha256}"
+
+
+def cut(path: Path, places: Iterable[tuple[int, int]]) -> tuple[Piece, ...]:
+    """Return the pieces of a file: these places of it, as (start, length), and what lies between them.
+
+    A small piece has no digest, for it is not worth a file of its own.
+    """
+    edges = sorted({0, path.stat().st_size} | {edge for start, length in places for edge in (start, start + length)})
+    pieces = []
+    for start, end in pairwise(edges):
+        piece = Piece(start=start, n_bytes=end - start)
+        if piece.n_bytes >= _PIECE_BYTES:
+            digest = hashlib.sha256()
+            for data in _read_piece(path, piece):
+                digest.update(data)
+            piece = replace(piece, sha256=digest.hexdigest())
+        pieces.append(piece)
+    return tuple(pieces)
+
+
+def _read_piece(path: Path, piece: Piece) -> Iterator[bytes]:
+    with path.open("rb") as file:
+        file.seek(piece.start)
+        left = piece.n_bytes
+        while left and (data := file.read(min(left, PART_BYTES))):
+            left -= len(data)
+            yield data
 
 
 @contextmanager

@@ -1,6 +1,6 @@
 """Storing and removing files so that neither undoes the other: both wait for the turn of the file's digest."""
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Sequence
 from datetime import timedelta
 from pathlib import Path
 
@@ -11,10 +11,10 @@ from ..database.engine import Database
 from ..database.locks import AdvisoryLock, wait_for_turn
 from ..database.models import Submission, SubmissionFile
 from ..errors import ProblemCode, ServiceError
-from .blobs import BlobStore
+from .blobs import BlobStore, Piece
 
 
-def store(session: Session, blobs: BlobStore, path: Path, digest: str) -> None:
+def store(session: Session, blobs: BlobStore, path: Path, digest: str, pieces: Sequence[Piece] = ()) -> None:
     """Store a file under its digest; an old one gets the present time, so that housekeeping leaves it alone.
 
     Args:
@@ -22,9 +22,11 @@ def store(session: Session, blobs: BlobStore, path: Path, digest: str) -> None:
         blobs: the file store.
         path: the file's content.
         digest: its SHA-256 [hex].
+        pieces: in which it is stored; empty: whole.
     """
-    wait_for_turn(session, AdvisoryLock.STORED_FILE, digest)
-    blobs.put(path, digest)
+    for each in sorted({digest, *(piece.sha256 for piece in pieces if piece.sha256)}):
+        wait_for_turn(session, AdvisoryLock.STORED_FILE, each)
+    blobs.put(path, digest, pieces)
 
 
 def require_stored(session: Session, blobs: BlobStore, digests: Iterable[str]) -> None:
@@ -44,13 +46,19 @@ def require_stored(session: Session, blobs: BlobStore, digests: Iterable[str]) -
 
 
 def remove_unnamed(database: Database, blobs: BlobStore, digests: Iterable[str]) -> None:
-    """Remove stored files that no submission names: of an upload that was refused, or that another archive made."""
+    """Remove stored files that no submission names: of an upload that was refused, or that another archive made.
+
+    With a file go those of its pieces that no other file has.
+    """
     for digest in digests:
         with database.transaction() as session:
             wait_for_turn(session, AdvisoryLock.STORED_FILE, digest)
             names = (Submission.archive_sha256 == digest, SubmissionFile.sha256 == digest)
-            if not any(session.scalar(select(exists().where(name))) for name in names):
+            is_named = any(session.scalar(select(exists().where(name))) for name in names)
+            pieces: Collection[str] = () if is_named else blobs.list_pieces(digest)
+            if not is_named and digest not in blobs.list_used_pieces():
                 blobs.delete(digest)
+        remove_unnamed(database, blobs, pieces)
 
 
 def remove_if_older(session: Session, blobs: BlobStore, digest: str, age: timedelta) -> None:

@@ -16,6 +16,7 @@ from ..competitions.stages import Stage
 from ..database.states import FileRole
 from ..errors import ProblemCode, ServiceError
 from ..settings import Settings
+from ..storage.blobs import Piece
 from ..storage.scratch import scratch_folder
 
 FILE_NAME = "upload"
@@ -217,6 +218,7 @@ class CheckedUpload:
         file_name: as the client names it; None if the client did not send it.
         archive_sketch: what a model's archive is compared by.
         contents: what is in a model's archive, as JSON (`ArchiveContents`).
+        pieces: in which an image is stored, so that layers that it shares with others are stored once.
     """
 
     kind: SubmissionKind
@@ -231,6 +233,7 @@ class CheckedUpload:
     file_name: str | None = None
     archive_sketch: bytes | None = None
     contents: dict[str, Any] | None = None
+    pieces: tuple[Piece, ...] = ()
 
     @property
     def digests(self) -> frozenset[str]:

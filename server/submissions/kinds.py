@@ -21,7 +21,7 @@ from vitac.evaluator.remote.relay import inner_address
 from vitac.evaluator.sensors.manifest import SensorRejected
 from vitac.evaluator.sensors.package import design_document
 from vitac.evaluator.submission.archive import unpack
-from vitac.evaluator.submission.image import image_digest, unpack_image
+from vitac.evaluator.submission.image import image_digest, largest_image_bytes, list_layers, unpack_image
 from vitac.evaluator.submission.likeness import WEIGHTS_SUFFIXES, make_sketch
 from vitac.evaluator.submission.manifest import ManifestRejected, load_manifest, load_unpacked_manifest
 from vitac.evaluator.submission.names import ArchiveRejected
@@ -37,6 +37,7 @@ from ..evaluations.logs import log_view
 from ..services import Services
 from ..settings import Settings
 from ..storage import stored_files
+from ..storage.blobs import cut
 from ..tracks import load_known_track
 from ..views.receipts import LogView
 from ..views.submissions import ArchiveContents
@@ -143,6 +144,7 @@ def check_image(received: ReceivedFile, owner: str, settings: Settings) -> Check
         archive_sha256=received.sha256,
         archive_bytes=received.n_bytes,
         manifest=manifest.model_dump(mode="json"),
+        pieces=cut(received.path, list_layers(received.path, settings.limits)),
     )
 
 
@@ -232,7 +234,7 @@ SERVED_KINDS: Mapping[SubmissionKind, ServedKind] = MappingProxyType(
             names_track=(ProblemCode.MANIFEST_REJECTED, "submission.yaml says track"),
         ),
         SubmissionKind.IMAGE: ServedKind(
-            max_bytes=lambda settings: settings.limits.image_bytes,
+            max_bytes=lambda settings: largest_image_bytes(settings.limits),
             check=check_image,
             names_track=(ProblemCode.MANIFEST_REJECTED, "submission.yaml says track"),
         ),
@@ -293,7 +295,8 @@ def accept(
     paths = {received.sha256: received.path} | {file.sha256: file.path for file in upload.files}
     for digest, path in paths.items():
         with services.database.transaction() as session:
-            stored_files.store(session, services.blobs, path, digest)
+            pieces = upload.pieces if digest == received.sha256 else ()
+            stored_files.store(session, services.blobs, path, digest, pieces)
     return upload
 
 

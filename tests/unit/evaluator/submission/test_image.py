@@ -12,9 +12,11 @@ from typing import Any
 import pytest
 from images import Pack, as_is, config_bytes, docker_archive, entry, gzipped, oci_layout, tar_bytes, zstd
 from vitac.evaluator.agent.limits import Limits
+from vitac.evaluator.submission import image
 from vitac.evaluator.submission.image import image_digest, load_program, unpack_image
 from vitac.evaluator.submission.manifest import ManifestRejected
 from vitac.evaluator.submission.names import ArchiveFault, ArchiveRejected
+from vitac.evaluator.tracks import load_track
 
 MANIFEST = b"track: track_1\ntasks: [peg-insertion]\nname: an image\n"
 BASE = tar_bytes([entry("submission.yaml", MANIFEST), entry("policy", b"run", mode=0o755)])
@@ -183,6 +185,20 @@ def test_refuses_too_many_files_and_a_bomb(tmp_path: Path) -> None:
     header.size = 8 << 30  # which it only says
     tar = saved(tmp_path, [BASE, header.tobuf(tarfile.GNU_FORMAT)])
     assert rejected(tmp_path, tar).code is ArchiveFault.UNPACKED_TOO_LARGE
+
+
+@pytest.mark.parametrize(("limit", "part"), [(10_000, "expected at most 10000, which track_1 takes"), (1 << 20, None)])
+def test_a_track_has_a_limit_of_its_own_below_or_above_that_of_the_service(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: int, part: str | None
+) -> None:
+    own = load_track("track_1").model_copy(update={"image_bytes": limit})
+    monkeypatch.setattr(image, "load_track", lambda name: own if name == "track_1" else load_track(name))
+    tar = saved(tmp_path, [BASE, tar_bytes([entry("data", bytes(20_000))])])
+    service = Limits(image_bytes=1 << 20 if part else 10_000)
+    if part:
+        assert part in rejected(tmp_path, tar, service).message
+    else:
+        assert (unpack_image(tar, tmp_path / "unpacked", service) / "root/data").stat().st_size == 20_000
 
 
 @pytest.mark.parametrize("make", [docker_archive, oci_layout])

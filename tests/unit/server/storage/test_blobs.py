@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Callable
 from datetime import timedelta
+from itertools import accumulate
 from pathlib import Path
 
 import obstore
@@ -14,7 +15,7 @@ from obstore.store import LocalStore, MemoryStore
 from service_factories import make_settings
 from vitac.server.errors import ProblemCode, ServiceError, ServiceSettingsError
 from vitac.server.storage import blobs as blobs_module
-from vitac.server.storage.blobs import PART_BYTES, BlobStore, StoredFileLost, make_key
+from vitac.server.storage.blobs import PART_BYTES, BlobStore, StoredFileLost, cut, make_key
 
 CONTENT = b"content " * 1000
 
@@ -47,6 +48,30 @@ def test_file_of_several_parts_comes_back_whole(blobs: BlobStore, tmp_path: Path
     content = bytes(range(256)) * (PART_BYTES // 256) * 2 + b"rest"
     blobs.fetch(put(blobs, tmp_path, content), tmp_path / "copy")
     assert (tmp_path / "copy").read_bytes() == content
+
+
+def put_in_pieces(blobs: BlobStore, folder: Path, *parts: bytes) -> str:
+    """Store parts as one file, each of which is a piece."""
+    path = folder / "source"
+    path.write_bytes(b"".join(parts))
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    ends = [*accumulate(map(len, parts))]
+    blobs.put(path, digest, cut(path, zip([0, *ends], map(len, parts), strict=False)))
+    return digest
+
+
+def test_files_share_their_large_pieces_and_each_comes_back_whole(blobs: BlobStore, tmp_path: Path) -> None:
+    base, first, second = bytes(300_000), b"one" * 50_000, b"two" * 50_000
+    one = put_in_pieces(blobs, tmp_path, b"head", base, b"between", first)
+    two = put_in_pieces(blobs, tmp_path, b"other", base, second)
+    assert blobs.read(one) == b"head" + base + b"between" + first
+    assert blobs.read(two) == b"other" + base + second
+    assert set(blobs.list_pieces(one)) & set(blobs.list_pieces(two)) == {hashlib.sha256(base).hexdigest()}
+    assert sorted(blobs.list_older_than(timedelta(seconds=-5))) == sorted([one, two])
+    blobs.delete(one)
+    assert not blobs.holds(one)
+    assert blobs.read(two) == b"other" + base + second
+    assert set(blobs.list_older_than(timedelta(seconds=-5))) == {two, hashlib.sha256(first).hexdigest()}
 
 
 @pytest.mark.parametrize("url", ["file:///no/such/folder", "s4://bucket", "folder"])
