@@ -202,9 +202,10 @@ _ROWS = 3
 
 @numba.extending.intrinsic
 def subtract_products(typing_context, front, places, factors):  # type: ignore[no-untyped-def]  # noqa: ARG001 - numba's intrinsic protocol
-    """Subtract from three rows their multiples of three pivot rows, in eight columns but the first few.
+    """Subtract from three rows their multiples of pivot rows, three at a time, in eight columns but the first few.
 
-    `places` are (row, pivot, stride, skipped), with rows `stride` apart, `factors` (f_0, f_1, f_2):
+    `places` are (row, pivot, stride, skipped), with rows `stride` apart, and `factors` (f_0, f_1, f_2) for each three
+    pivot rows, which follow each other:
 
     front[row + i stride + j] -= f_i[0] front[pivot + j] + f_i[1] front[pivot + stride + j]
                                  + f_i[2] front[pivot + 2 stride + j]    for skipped <= j < 8
@@ -212,6 +213,7 @@ def subtract_products(typing_context, front, places, factors):  # type: ignore[n
     All eight columns of every row have to be there, and nothing between the numbers of a row.
     """
     _check_arrays(front)
+    groups = len(factors) // _ROWS
 
     def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         data = _get_numbers(context, builder, signature, arguments, 0)
@@ -221,21 +223,26 @@ def subtract_products(typing_context, front, places, factors):  # type: ignore[n
             return _lanes(builder, data, builder.add(first, builder.mul(stride, stride.type(i))))
 
         here = builder.icmp_signed(">=", _EIGHT_COUNTS(list(range(LANES))), _in_all_lanes(builder, skipped))
-        pivots = [builder.load(lanes(pivot, i), align=8) for i in range(_ROWS)]
+        pivots = [builder.load(lanes(pivot, i), align=8) for i in range(_ROWS * groups)]
         for i in range(_ROWS):
-            multipliers = [builder.extract_value(arguments[2], (i, k)) for k in range(_ROWS)]
-            lanes_of = [_in_all_lanes(builder, multiplier) for multiplier in multipliers]
-            products = [builder.fmul(factor, numbers) for factor, numbers in zip(lanes_of, pivots, strict=True)]
-            total = builder.fadd(builder.fadd(products[0], products[1]), products[2])
-            before = builder.load(lanes(row, i), align=8)
-            after = builder.select(here, builder.fsub(before, total), before)
-            builder.store(after, lanes(row, i), align=8)
+            before = after = builder.load(lanes(row, i), align=8)
+            for group in range(groups):
+                products = [
+                    builder.fmul(
+                        _in_all_lanes(builder, builder.extract_value(arguments[2], (_ROWS * group + i, k))),
+                        pivots[_ROWS * group + k],
+                    )
+                    for k in range(_ROWS)
+                ]
+                total = builder.fadd(builder.fadd(products[0], products[1]), products[2])
+                after = builder.fsub(after, total)
+            builder.store(builder.select(here, after, before), lanes(row, i), align=8)
         return context.get_dummy_value()
 
     four_places = numba.types.UniTuple(numba.types.int64, 4)  # type: ignore[no-untyped-call]
     three = numba.types.UniTuple(numba.types.float64, _ROWS)  # type: ignore[no-untyped-call]
-    three_rows = numba.types.UniTuple(three, _ROWS)  # type: ignore[no-untyped-call]
-    return numba.types.void(front, four_places, three_rows), codegen
+    multipliers = numba.types.UniTuple(three, _ROWS * groups)  # type: ignore[no-untyped-call]
+    return numba.types.void(front, four_places, multipliers), codegen
 
 
 def _weighted_sum(terms: int, *, adds: bool) -> Any:

@@ -13,7 +13,7 @@ from ..contact.forces import ContactMemory, PairForces, empty_memory, no_forces,
 from ..contact.overlap import find_overlap
 from ..elastic.elasticity import measure_stretches
 from ..model.mesh import GelBody, RigidBody
-from ..model.model import point_positions
+from ..model.model import PRESCRIBED, point_positions
 from ..model.settings import AnyContactSettings, ContactSettings, CutOffSolverSettings, SolverSettings
 from ..solver.assembly import new_workspace
 from ..solver.iterate import IpcStep, remember_step
@@ -25,6 +25,9 @@ from .layout import NodeLayout, SceneError, check_bodies, check_settings
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
+# The motion of an IPC step is the first guess of the next one where that of the driven nodes changes by less than this
+# part of it, and no node went further than this multiple of it.
+_LARGEST_CHANGE, _LONGEST_FOLLOWING = 0.5, 1.2
 # Parts of the way from an IPC step's start to its end, where balances are followed along it.
 _FIRST_STRIDE, _SHORTEST_STRIDE, _MOST_STRIDES = 1 / 8, 1 / 1024, 100
 # Matrices on the path of balances, as a multiple of Newton's iterations.
@@ -112,9 +115,16 @@ class _Attempt:
         default_factory=lambda: Record(np.zeros(len(Counter), dtype=np.int64), np.zeros(len(Measure)))
     )
 
-    def towards(self, waypoint: FloatArray, *, escapes_saddle: bool = False, relaxes: bool = False) -> IpcStep:
+    def towards(
+        self,
+        waypoint: FloatArray,
+        *,
+        escapes_saddle: bool = False,
+        relaxes: bool = False,
+        guesses: bool = False,
+    ) -> IpcStep:
         """Return the step with other targets of the prescribed nodes."""
-        return IpcStep(self.start, self.memory, self.x_hat, waypoint, escapes_saddle, relaxes, self.held)
+        return IpcStep(self.start, self.memory, self.x_hat, waypoint, escapes_saddle, relaxes, guesses, self.held)
 
 
 class SceneState(NamedTuple):
@@ -281,6 +291,10 @@ class Scene:
         if isinstance(s, CutOffSolverSettings):
             is_solved = self._solve_motion(attempt, attempt.target, iterations=s.iterations_per_step) == SOLVED
             return (StepStatus.CONVERGED if is_solved else StepStatus.CUT_OFF), 1
+        if self._goes_on(attempt):
+            outcome = self._solve_motion(attempt, attempt.target, iterations=s.phase_iterations, guesses=True)
+            if outcome == SOLVED:
+                return StepStatus.CONVERGED, 1
         unstable: tuple[FloatArray, int] | None = None
         for parts in (2**level for level in range(s.first_division_level, s.division_levels + 1)):
             outcome = self._solve_in_parts(attempt, parts)
@@ -297,6 +311,16 @@ class Scene:
             return StepStatus.RELAXED, 1
         is_solved = self._continue_from_start(attempt) or self._follow_path(attempt)
         return (StepStatus.CONTINUED if is_solved else StepStatus.NOT_CONVERGED), 1
+
+    def _goes_on(self, attempt: _Attempt) -> bool:
+        """Return whether the driven nodes move about as in the IPC step before, in which no node went much further."""
+        if not self._model.parameters.remembers_slip:
+            return False
+        before_m, prescribed = attempt.x_hat - attempt.start, self._model.unknowns.slot == PRESCRIBED
+        driven_m = (attempt.target - attempt.start)[prescribed]
+        largest_m = np.abs(driven_m).max()
+        differs = np.abs(driven_m - before_m[prescribed]).max() >= _LARGEST_CHANGE * largest_m
+        return bool(not differs and np.abs(before_m).max() < _LONGEST_FOLLOWING * largest_m)
 
     def _solve_in_parts(self, attempt: _Attempt, parts: int) -> int:
         """Solve along intermediate driven positions, each from the solution of the one before; how the last one ended.
@@ -365,10 +389,11 @@ class Scene:
         iterations: int | None = None,
         escapes_saddle: bool = False,
         relaxes: bool = False,
+        guesses: bool = False,
         residual_n: float | None = None,
     ) -> int:
         s = self._solver
-        step = attempt.towards(waypoint, escapes_saddle=escapes_saddle, relaxes=relaxes)
+        step = attempt.towards(waypoint, escapes_saddle=escapes_saddle, relaxes=relaxes, guesses=guesses)
         most = s.newton_iterations if iterations is None else iterations
         residual_n = s.residual_tolerance_n if residual_n is None else residual_n
         tolerances = Tolerances(s.step_tolerance_m, residual_n, most, s.phase_iterations)

@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import allocating_kernel, kernel, large_kernel
+from ..algebra import add_rows
 from ..contact.broad_phase import Candidates
 from ..linear.elimination import factorise, has_negative_determinant, negative_curvature_direction
 from ..model.model import EXACT_MATRIX, NO_MATRIX, PROJECTED_MATRIX, Model
@@ -59,9 +60,11 @@ from .relaxation import relax
 def is_stable(model: Model, candidates: Candidates, s: Solve, workspace: Workspace, matrix: int) -> bool:
     """Return whether the exact Jacobian has no negative determinant.
 
-    A projected one cannot tell and is replaced, as is one whose friction had dual variables on their way.
+    A projected one cannot tell and is replaced, as is one with a negative pivot whose friction had dual variables on
+    their way.
     """
-    if matrix == PROJECTED_MATRIX or model.parameters.remembers_slip:
+    on_the_way = model.parameters.remembers_slip and workspace.factor.negative_pivots[0] > 0
+    if matrix == PROJECTED_MATRIX or on_the_way:
         assemble(model, candidates, s.iterate, s.start, workspace, EXACT_MATRIX)
         if not factorise(model.system, workspace.system.entries, workspace.factor, False):
             return False
@@ -151,6 +154,12 @@ def solve_step(
             model, s, step.x_target, tolerances.residual_n, 2 * tolerances.iterations, workspace
         )
     candidates = list_candidates(model, s)
+    if step.guesses:
+        add_rows(step.x_hat, -1.0, x, s.step.x)
+        shorten_long_move(model, s.step)
+        if not look_ahead(model, s):
+            candidates = list_candidates(model, s)
+        make_step(model, s, feasible_fraction(model, candidates, s), step.x_target, False)
     turn, residual, reusable, escaping = 0, np.inf, False, step.escapes_saddle
     limit = 2 * tolerances.iterations if step.escapes_saddle else tolerances.iterations
     while turn < limit:

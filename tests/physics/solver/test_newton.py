@@ -9,7 +9,7 @@ from balance_check import BalanceCheck, assert_honest
 from block_meshes import box_gel, box_surface
 from engine_probe import Probe
 from numpy.typing import NDArray
-from small_scenes import IDENTITY, Grip, driven_positions_m
+from small_scenes import IDENTITY, Grip, arena_contact, driven_positions_m
 from vitac.envs.fem.model.mesh import GelBody, RigidBody
 from vitac.envs.fem.model.settings import CutOffSolverSettings, SolverSettings
 from vitac.envs.fem.scene.scene import Scene, StepReport, StepStatus
@@ -50,6 +50,30 @@ def test_reused_factors_end_where_a_newton_step_with_fresh_ones_has_nothing_left
     here = probe.at(probe.x_m)
     assert np.abs(here.forces_n).max() < STANDARD.residual_tolerance_n
     assert np.abs(np.linalg.solve(here.matrix_n_m, here.forces_n)).max() < 2 * STANDARD.step_tolerance_m
+
+
+@pytest.mark.parametrize("iterations", [12, 1])
+def test_a_motion_that_goes_on_is_guessed_from_the_one_before_and_ends_in_the_same_state(iterations: int) -> None:
+    """Without a velocity, which is too small to matter for inertia, nothing is guessed; neither after one iteration."""
+    aside, ends = np.array([3e-4, 2e-4, 0.0]), []
+    for is_known in (True, False):
+        grip = Grip(contact=arena_contact(0.5))
+        grip.squeeze(2e-4)
+        grip.move(aside, aside)
+        scene = grip.scene
+        scene._solver = replace(STANDARD, phase_iterations=iterations)
+        scene._velocity[:] *= is_known
+        guessed: list[bool] = []
+
+        def watched(*given: Any, of: Any = scene._solve_motion, seen: Any = guessed, **kept: Any) -> int:
+            seen.append(kept.get("guesses", False))
+            return int(of(*given, **kept))
+
+        scene._solve_motion = watched  # type: ignore[method-assign]
+        assert grip.move(aside, aside).status is StepStatus.CONVERGED
+        ends.append(scene._x.copy())
+        assert guessed == [True] * is_known + [False] * (not is_known or iterations == 1)
+    np.testing.assert_allclose(ends[0], ends[1], rtol=0, atol=2 * SAME_M)
 
 
 def test_cautious_iterations_fall_back_on_the_projected_matrix_and_find_the_same_state(
