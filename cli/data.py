@@ -21,6 +21,10 @@ def collect(
     out: Annotated[Path, typer.Option("--out", help="Folder; collections in it are continued.")],
     tasks: Annotated[list[str] | None, typer.Argument(help="Tasks, by default all that have an expert.")] = None,
     successes: Annotated[int, typer.Option(min=1, help="Successful demonstrations of each task.")] = 290,
+    policy: Annotated[
+        Path | None,
+        typer.Option(callback=existing, help="Zip or folder of a submission that plays in place of the expert."),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the starts.")] = 0,
     processes: Processes = 1,
     ray: Ray = None,
@@ -28,19 +32,27 @@ def collect(
 ) -> None:
     """Let an expert that knows the truth play; the same bytes however many processes play, and after any kill.
 
-    Of ten episodes five are its own actions, four have noise from which it recovers, and in one it is misled.
+    Of ten episodes five are its own actions, four have noise from which it recovers, and in one it is misled. A policy
+    of yours knows what the learner will know; every other of its episodes has noise.
     """
     from vitac.training.demonstrations.collecting import collect as collect_task
     from vitac.training.demonstrations.collecting import count_outcomes, list_tasks
 
     from .terminal.compiling import compiling_shown
+    from .terminal.own_policy import fall_back_where_nothing_isolates
 
+    if policy is not None:
+        if not tasks or ray is not None:
+            raise typer.BadParameter("Name the tasks that it plays; it plays on this machine.", param_hint="--policy")
+        fall_back_where_nothing_isolates()
     rows = []
     for task in tasks or list_tasks():
         remedy = f"run the same command to continue from {out}"
         with stopped_by_signals(remedy), compiling_shown(), _Counter() as counter:
             report = partial(counter.show_collected, task, successes)
-            path = collect_task(task, out, successes=successes, seed=seed, processes=processes, ray=ray, report=report)
+            path = collect_task(
+                task, out, successes=successes, policy=policy, seed=seed, processes=processes, ray=ray, report=report
+            )
         rows += [{"task": task, **row, "file": str(path)} for row in count_outcomes(path)]
     if as_json:
         print_json({"demonstrations": rows})

@@ -6,7 +6,7 @@ not stored, because it follows from these (`frames`).
 
 import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from enum import StrEnum
 from functools import partial
 from itertools import count
@@ -19,6 +19,7 @@ from vitac.envs.errors import VitacError
 from vitac.evaluator.episodes.provenance import make_manifest
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, Manifest, StateHash, canonical_json
 from vitac.evaluator.strict_model import StrictModel, Word
+from vitac.evaluator.submission.sources import staged, submission_digest
 from vitac.evaluator.tracks import Task, find_task, list_tracks, load_track
 
 from ..files import not_saved
@@ -26,6 +27,7 @@ from ..folder_lock import hold_folder
 from ..pool import map_in_order
 from ..streams import Use, stream
 from .expert import PLANS, Expert, ExpertPlan, add_noise
+from .policy_play import PolicyPlayer
 
 FILE = "demonstrations.jsonl"
 """Name of the file in the folder of a task."""
@@ -36,7 +38,7 @@ class CollectionRejected(VitacError):
 
 
 class DemonstrationKind(StrEnum):
-    """How the expert was made to act, or what a person saw. Only the outcome says whether it succeeded."""
+    """Who acted, and how. Only the outcome says whether it succeeded."""
 
     CLEAN = "clean"
     """Its own actions; with noise only where nothing else succeeds."""
@@ -44,6 +46,10 @@ class DemonstrationKind(StrEnum):
     """Its own actions, with noise in some of the first env steps, from which it recovers."""
     MISLED = "misled"
     """It goes to a place beside the target, which seldom succeeds."""
+    POLICY = "policy"
+    """A policy's own actions."""
+    NOISY_POLICY = "noisy-policy"
+    """A policy's actions with noise on each, which it feels."""
     HUMAN = "human"
     """A person played, by marker flow alone."""
     HUMAN_WITH_SCENE = "human-with-scene"
@@ -55,12 +61,14 @@ BY_HAND = frozenset({DemonstrationKind.HUMAN, DemonstrationKind.HUMAN_WITH_SCENE
 
 
 class Source(StrictModel):
-    """Where demonstrations come from: what played them, and the seed of their starts."""
+    """Where demonstrations come from: what they were played in, by which policy, and the seed of their starts."""
 
     format: Literal["vitac-demonstrations-1"] = "vitac-demonstrations-1"
     manifest: Manifest
     stream: NonNegativeInt
     """Episode n starts with `rng_seed = (stream, n)`."""
+    policy: Word | None = None
+    """Digest of the submission whose policy played; None where the expert or a person did."""
 
     @property
     def task(self) -> Task:
@@ -69,7 +77,7 @@ class Source(StrictModel):
 
 
 class Demonstration(StrictModel):
-    """An episode of an expert or a person. `state_hashes` has one after the reset and one after each env step."""
+    """An episode that somebody played. `state_hashes` has one after the reset and one after each env step."""
 
     episode: PositiveInt
     kind: DemonstrationKind
@@ -142,6 +150,8 @@ _KINDS = (
 """Kinds of ten episodes, one after the other."""
 _SPREAD = (0.05, 0.3)
 """Range from which the standard deviation of the noise of an episode is drawn."""
+_POLICY_SPREAD = (0.0, 0.2)
+"""The same where a policy plays."""
 _BIAS = (0.6, 1.6)
 """Range from which the size of every number of a bias is drawn, at either sign."""
 
@@ -178,6 +188,7 @@ def collect(
     folder: Path,
     *,
     successes: int,
+    policy: Path | None = None,
     seed: int = 0,
     processes: int = 1,
     ray: str | None = None,
@@ -189,9 +200,10 @@ def collect(
     awaited, so that a killed process loses none; all are on the disk when the collection ends.
 
     Args:
-        task: name of a task that has an expert.
+        task: name of a task, one with an expert if no policy plays.
         folder: the file is in a folder in it that is named after the task.
         successes: episode by episode until then.
+        policy: zip or folder of a submission that plays in place of the expert.
         seed: of the starts.
         processes: that play.
         ray: address of a Ray cluster that plays instead.
@@ -199,15 +211,23 @@ def collect(
 
     Raises:
         NoExpert: the task has none.
+        PolicyStopped: the policy failed.
         CollectionRejected: the file is of another seed or version.
         FolderInUse: another process writes there.
         NotSaved: it cannot be written.
     """
     track, found = find_task(task)
-    expert = Expert(found)
-    source = Source(manifest=make_manifest(track, found, expert.env), stream=stream(seed, Use.COLLECT))
-    path = folder / task / FILE
-    with open_collection(path, source) as file:
+    with ExitStack() as exits:
+        player: Expert | PolicyPlayer
+        if policy is None:
+            player, digest = Expert(found), None
+        else:
+            submission = exits.enter_context(staged(policy))
+            player, digest = exits.enter_context(PolicyPlayer(track, found, submission)), submission_digest(policy)
+        manifest = make_manifest(track, found, player.env)
+        source = Source(manifest=manifest, stream=stream(seed, Use.COLLECT), policy=digest)
+        path = folder / task / FILE
+        file = exits.enter_context(open_collection(path, source))
         stored = list(read_demonstrations(path))
         n_episodes, n_successes = len(stored), sum(each.is_success for each in stored)
         if stored and stored[-1].episode != n_episodes:
@@ -215,7 +235,7 @@ def collect(
         report(n_episodes, n_successes)
         if n_successes >= successes:
             return path
-        for played in map_in_order(partial(_play, expert, source), count(n_episodes + 1), processes, ray=ray):
+        for played in map_in_order(partial(_play, player, source), count(n_episodes + 1), processes, ray=ray):
             file.write(make_line(played))
             file.flush()
             n_episodes, n_successes = n_episodes + 1, n_successes + played.is_success
@@ -245,8 +265,8 @@ def open_collection(path: Path, source: Source) -> Iterator[BinaryIO]:
                 file.flush()
             elif first != make_line(source):
                 raise CollectionRejected(
-                    f"{path} was collected with another seed or version, expected those of now; collect into another "
-                    "folder."
+                    f"{path} was collected with another seed, policy or version, expected those of now; collect into "
+                    "another folder."
                 )
             yield file
     except OSError as error:
@@ -262,13 +282,19 @@ def _drop_partial_line(file: BinaryIO) -> None:
     file.truncate(whole)
 
 
-def _play(expert: Expert, source: Source, number: int) -> Demonstration:
-    kind = _KINDS[(number - 1) % len(_KINDS)]
-    played = expert.play({"rng_seed": (source.stream, number)}, _plans(kind, source, number, len(source.task.actions)))
+def _play(player: Expert | PolicyPlayer, source: Source, number: int) -> Demonstration:
+    options, random = {"rng_seed": (source.stream, number)}, np.random.default_rng((source.stream, number, 1))
+    if isinstance(player, PolicyPlayer):
+        kind = (DemonstrationKind.POLICY, DemonstrationKind.NOISY_POLICY)[number % 2]
+        spread = random.uniform(*_POLICY_SPREAD) if kind is DemonstrationKind.NOISY_POLICY else 0.0
+        played = player.play(options, spread=spread, random=random)
+    else:
+        kind = _KINDS[(number - 1) % len(_KINDS)]
+        played = player.play(options, _plans(kind, source, number, random))
     return Demonstration(
         episode=number,
         kind=kind,
-        shape=str(expert.env.task_scene.shape),
+        shape=str(player.env.task_scene.shape),
         outcome=EpisodeOutcome(played.info["end_reason"]),
         total_reward=played.total_reward,
         actions=ActionSequence.from_array(played.actions),
@@ -276,13 +302,13 @@ def _play(expert: Expert, source: Source, number: int) -> Demonstration:
     )
 
 
-def _plans(kind: DemonstrationKind, source: Source, number: int, n_actions: int) -> tuple[ExpertPlan, ...]:
+def _plans(kind: DemonstrationKind, source: Source, number: int, random: np.random.Generator) -> tuple[ExpertPlan, ...]:
     """Return what the expert tries in an episode."""
-    random = np.random.default_rng((source.stream, number, 1))
     if kind is DemonstrationKind.CLEAN:
         return PLANS
     if kind is DemonstrationKind.NOISY:
         spread, noisy_steps = random.uniform(*_SPREAD), int(random.integers(1, 1 + source.task.max_steps // 4))
         return add_noise(PLANS, spread=spread, noisy_steps=noisy_steps, seed=(source.stream, number, 2))
+    n_actions = len(source.task.actions)
     bias = random.choice((-1.0, 1.0), n_actions) * random.uniform(*_BIAS, n_actions)
     return (ExpertPlan(gain=1.0, measured=False, bias=tuple(bias.tolist())),)

@@ -65,6 +65,8 @@ configs:
 
 _EXPERT = """An expert that knows the truth plays in the deterministic simulation of ViTac Arena. It sees what no
 policy sees (`privileged.*`), so its actions are more than a policy can know."""
+_POLICY = """A policy plays in the deterministic simulation of ViTac Arena, by what every policy sees
+(submission {digest})."""
 _PERSON = """A person plays in the deterministic simulation of ViTac Arena: `human` by the marker flow alone, as a
 policy does, `human-with-scene` with a look at the scene, which no policy sees."""
 
@@ -76,7 +78,9 @@ def make_card(origin: Origin, observables: Sequence[Observable[Any]]) -> str:
     is_played = any(each.kind in BY_HAND for each in episodes)
     successes = sum(each.outcome == "success" for each in episodes)
     seed = (source.stream - FIRST_STREAM) // STREAMS_PER_SEED
-    collected = f"vitac data collect {made.task} --successes {successes} --seed {seed} --out DIR"
+    by_policy = "" if source.policy is None else " --policy SUBMISSION"
+    collected = f"vitac data collect {made.task}{by_policy} --successes {successes} --seed {seed} --out DIR"
+    player = _EXPERT if source.policy is None else _POLICY.format(digest=source.policy)
     kinds = [_kind_row(kind, [each for each in episodes if each.kind is kind]) for kind in DemonstrationKind]
     return _CARD.format(
         title=task.title[0].lower() + task.title[1:],
@@ -91,7 +95,7 @@ def make_card(origin: Origin, observables: Sequence[Observable[Any]]) -> str:
         solver=made.solver_version,
         mesh=made.mesh_hash,
         platform=made.platform_class,
-        player=_PERSON if is_played else _EXPERT,
+        player=_PERSON if is_played else player,
         command=f"vitac play {made.task} --seed {seed} --out DIR" if is_played else collected,
         episodes=len(episodes),
         licence=LICENCE,
@@ -143,9 +147,9 @@ def write_minari(folder: Path, source: Source, env: Any, frames: Iterator[Frames
     )
     storage.update_metadata(
         {
-            "dataset_id": f"vitac/{task}/expert-v0",
+            "dataset_id": f"vitac/{task}/{'policy' if source.policy else 'expert'}-v0",
             "minari_version": minari.__version__,
-            "algorithm_name": "expert with privileged state",
+            "algorithm_name": f"submission {source.policy}" if source.policy else "expert with privileged state",
             "author": {"ViTac Arena"},
             "description": f"Demonstrations of {task}, licence {LICENCE}; README.md is their card.",
         }

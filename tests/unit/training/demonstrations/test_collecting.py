@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from vitac.evaluator.submission.sources import submission_digest
 from vitac.evaluator.tracks import find_task
 from vitac.training.demonstrations.collecting import (
     CollectionRejected,
@@ -14,6 +15,7 @@ from vitac.training.demonstrations.collecting import (
     read_source,
 )
 from vitac.training.demonstrations.expert import Expert, NoExpert
+from vitac.training.demonstrations.policy_play import PolicyStopped
 from vitac.training.streams import StreamRefused, Use, stream
 
 TASK = "lock-opening"
@@ -51,6 +53,32 @@ def test_what_a_kill_left_is_continued_to_the_same_bytes(collected: Path, tmp_pa
     collect(TASK, tmp_path, successes=10, report=lambda *numbers: heard.append(numbers))
     assert left.read_bytes() == whole
     assert len(heard) == 2, "one episode was lost"
+
+
+def test_a_policy_plays_in_place_of_the_expert_the_same_bytes_in_any_number_of_processes(
+    repository: Path, tmp_path: Path
+) -> None:
+    policy = repository / "examples" / "lock_opening_trained"
+    one, two = (
+        collect(TASK, tmp_path / str(processes), successes=3, policy=policy, processes=processes)
+        for processes in (1, 2)
+    )
+    assert one.read_bytes() == two.read_bytes()
+    assert read_source(one).policy == submission_digest(policy)
+    noisy, own, _ = read_demonstrations(one)
+    assert (noisy.kind, own.kind) == (DemonstrationKind.NOISY_POLICY, DemonstrationKind.POLICY)
+    assert own.is_success
+    with pytest.raises(CollectionRejected, match="another seed, policy or version"):
+        collect(TASK, tmp_path / "1", successes=4)
+
+
+def test_a_policy_that_fails_is_named_with_the_start_where_it_did(tmp_path: Path) -> None:
+    (tmp_path / "policy.py").write_text(
+        "class Policy:\n    def reset(self, task): pass\n    def act(self, observation): return observation['none']\n"
+    )
+    (tmp_path / "submission.yaml").write_text("track: track_1\ntasks: [lock-opening]\nname: fails\n")
+    with pytest.raises(PolicyStopped, match=r"'rng_seed': \(1000000, 1\).*KeyError"):
+        collect(TASK, tmp_path / "out", successes=1, policy=tmp_path, processes=2)
 
 
 def test_other_starts_go_into_another_folder(collected: Path) -> None:

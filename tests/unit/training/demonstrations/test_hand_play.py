@@ -83,7 +83,7 @@ def test_actions_that_do_not_fit_are_refused_and_move_nothing(tmp_path: Path, ac
 
 def test_an_experts_file_is_not_mixed_with_a_persons(tmp_path: Path) -> None:
     collect(TASK, tmp_path, successes=1)
-    with pytest.raises(CollectionRejected, match="another seed or version"), HandPlay(TASK, tmp_path).storing():
+    with pytest.raises(CollectionRejected, match="another seed, policy or version"), HandPlay(TASK, tmp_path).storing():
         pass
 
 
