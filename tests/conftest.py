@@ -60,13 +60,21 @@ def pytest_collection() -> Generator[None, object, object]:
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Three processes for the suite on two cores, since tests often wait; none for tests that were named or chosen."""
+    """Three processes for the suite on two cores, since tests often wait, and slow ones more often: four for them.
+
+    None for tests that were named or chosen.
+    """
     chosen = getattr(config.option, "file_or_dir", None) or config.option.keyword  # there are none with --help
-    return 0 if chosen else min(3, (os.cpu_count() or 1) + 1)
+    waiting = 2 if config.option.markexpr else 1
+    return 0 if chosen else min(2, os.cpu_count() or 1) + waiting
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave slow tests out of the whole suite; they run where tests are chosen by file, keyword or marker, as in CI."""
+    """Leave slow tests out of the whole suite; they run where tests are chosen by file, keyword or marker, as in CI.
+
+    Those that take minutes begin first, so that none of them runs alone at the end.
+    """
+    items.sort(key=lambda item: -max((mark.kwargs.get("minutes", 0) for mark in item.iter_markers("slow")), default=0))
     option = config.option
     if option.file_or_dir or option.keyword or option.markexpr:
         return

@@ -24,7 +24,7 @@ from vitac.server.database.states import WorkState
 from vitac.web.pages.episodes.page import player_script
 from waiting import resize, until, wait_for_rest
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.slow(minutes=3)
 
 HOUR_S = 3600  # later than a page of which only the clock is told to go on can be
 PEG, LOCK, FUSION = "peg-insertion", "lock-opening", "fusion-insertion"
@@ -85,9 +85,9 @@ def open_layers(page: Page) -> None:
 
 
 def seen(place: Locator) -> bytes:
-    """A picture of what all scenes of the page show when they have come to rest."""
+    """A picture of what is shown when all scenes of the page have come to rest: the next one is the same."""
     wait_for_rest(place.page)
-    return place.screenshot()
+    return until(place.page, lambda: (place.screenshot(), place.screenshot()), lambda pair: pair[0] == pair[1])[0]
 
 
 def colours(place: Locator) -> set[tuple[int, ...]]:

@@ -10,6 +10,8 @@ from site_under_test import SiteUnderTest
 from tab_key import press_tab_through
 from waiting import resize
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
 def test_tab_reaches_everything_in_sight_and_is_held_nowhere(

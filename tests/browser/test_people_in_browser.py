@@ -20,6 +20,8 @@ from waiting import answered, resize
 
 from competitions import make_competition, open_now, put_in_place, shown_stage
 
+pytestmark = pytest.mark.slow
+
 WEEK = timedelta(days=7)
 FINGER_PX = 44  # what a finger hits, and how high every field of a form is
 SEES = {
@@ -83,7 +85,6 @@ def secrets(service: CliService) -> dict[str, str]:
         }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("role", PAGES_OF_ROLES)
 def test_each_role_sees_its_pages_without_a_barrier(
     page: Page, service: CliService, secrets: dict[str, str], role: str

@@ -75,6 +75,7 @@ def test_copies_go_on_with_the_same_bits(env_id: str, look: str) -> None:
     assert continued(other) == expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("env_id", ENV_IDS)
 def test_copies_of_wrapped_environments_go_on_with_the_same_bits(env_id: str) -> None:
     env = begun(NumericInfos(gymnasium.make(env_id, max_episode_steps=BEFORE + AFTER)))
@@ -83,6 +84,7 @@ def test_copies_of_wrapped_environments_go_on_with_the_same_bits(env_id: str) ->
     assert [continued(twin) for twin in twins] == [expected] * len(WAYS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("env_id", ENV_IDS)
 def test_copies_of_vector_environments_go_on_with_the_same_bits(env_id: str) -> None:
     env = begun(gymnasium.make_vec(env_id, 2, vectorization_mode="sync"))

@@ -50,6 +50,7 @@ def played_elsewhere(folder: Path, **environment: str) -> tuple[dict[str, str], 
     return played["digests"], played["surroundings"], finished.stderr
 
 
+@pytest.mark.slow
 def test_another_folder_hash_seed_blas_kernel_and_vector_unit_change_no_bit(
     tmp_path: Path, digests: dict[str, str]
 ) -> None:

@@ -13,6 +13,8 @@ from databases import state_directory
 from vitac.envs.tasks.registry import task_definitions
 from vitac.evaluator.tracks import list_tracks
 
+pytestmark = pytest.mark.slow
+
 EXAMPLE = Path(__file__).parents[3] / "examples" / "press_a_switch"
 TUTORIAL = Path(__file__).parents[3] / "docs" / "tutorials" / "press_a_switch.md"
 SUBMISSION = EXAMPLE / "Switch"
@@ -99,7 +101,6 @@ def test_it_is_drawn_with_all_fixed_parts(packages: Path, tmp_path: Path) -> Non
     assert picture.stat().st_size > 10_000
 
 
-@pytest.mark.slow
 def test_its_expert_gives_demonstrations_that_become_a_data_set_and_replay(packages: Path, tmp_path: Path) -> None:
     """Its actions are of one number, which is what LeRobot stores otherwise than several."""
     vitac(packages, "data", "collect", "press-switch", "--successes", 1, "--out", tmp_path)
@@ -109,7 +110,6 @@ def test_its_expert_gives_demonstrations_that_become_a_data_set_and_replay(packa
     assert "1 episodes replayed" in vitac(packages, "data", "check", tmp_path / "set", "--replay", 1)
 
 
-@pytest.mark.slow
 def test_it_stands_on_a_board(packages: Path) -> None:
     folders = {"VITAC_STATE_DIR": str(state_directory()), "VITAC_PORT": "0"}
     output = vitac(packages, "demo", "--exit", "--submission", SUBMISSION, **folders)

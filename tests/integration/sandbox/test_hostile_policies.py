@@ -98,7 +98,7 @@ def left_behind() -> list[str]:
     return [path for path in found if Path(path).is_dir()]
 
 
-@pytest.mark.slow
+@pytest.mark.slow(minutes=3)
 @pytest.mark.parametrize("hostile", all_policies(), ids=lambda hostile: hostile.name)
 def test_policy_meets_its_verdict(hostile: Hostile, outside: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tracing, "_FREEZE_DEADLINE_S", 5.0)  # one of them never gets ready to be copied

@@ -62,6 +62,7 @@ def play(folder: Path, episodes: int) -> list[tuple[float, ...]]:
         return found
 
 
+@pytest.mark.slow
 def test_no_name_and_no_number_of_a_file_tells_of_earlier_episodes_and_sandboxes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -585,6 +585,7 @@ def test_nothing_stays_when_the_evaluator_is_killed(make: Make) -> None:
     eventually(lambda: not Path(f"/proc/{first_pid}").exists())
 
 
+@pytest.mark.slow
 def test_two_hundred_seventy_episodes_lose_little(make: Make, record_property: Callable[[str, object], None]) -> None:
     """A bound so wide that only a lost order of magnitude breaks it; the figure itself is recorded."""
     observation = {

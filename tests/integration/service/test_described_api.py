@@ -122,6 +122,7 @@ MANIFESTS = st.one_of(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("role", ["team", "organizer"])
 def test_no_manifest_meets_an_error_of_the_server(live: Service, role: str) -> None:
     token, query = (live.token, "") if role == "team" else (live.organizer_token, "?team=Team%20A")

@@ -65,6 +65,7 @@ def working(services: Services) -> Iterator[None]:
         stage.close()
 
 
+@pytest.mark.slow
 def test_an_episode_becomes_files_that_a_page_plays(services: Services) -> None:
     with services.database.transaction() as session:
         by = make_principal(session)

@@ -65,6 +65,7 @@ def worker(attempt: Attempt, start_worker: StartWorker) -> "subprocess.Popen[byt
     return process
 
 
+@pytest.mark.slow
 def test_server_and_local_evaluation_give_the_same_hash(attempt: Attempt, start_worker: StartWorker) -> None:
     start_worker()
     attempt.assert_same_result()

@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+import pytest
 from visible_scenes import STARTS
 from vitac.envs.tasks.fusion_insertion.env import FusionInsertionEnv, guide_to_the_hole
 
@@ -21,6 +22,7 @@ def planned(env: FusionInsertionEnv, start: tuple[float, ...]) -> dict[str, Any]
     return info
 
 
+@pytest.mark.slow
 def test_a_planner_that_knows_the_offset_succeeds_at_all_50_starts() -> None:
     """As in the published logs: in 25.3 env steps on average for the hexagon, 25.1 for the cuboid."""
     env = unseen()

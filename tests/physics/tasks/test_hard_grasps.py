@@ -12,6 +12,8 @@ from unsolved import played
 from vitac.envs.fem.scene.scene import Scene, StepReport, StepStatus
 from vitac.envs.tactile.gel import GelDimensions, structured_gel
 
+pytestmark = pytest.mark.slow
+
 PULL_AND_PRESS = np.array([-1, 1], dtype=np.float32)
 
 
@@ -76,7 +78,6 @@ def test_a_thin_gel_that_is_squeezed_flat_is_followed_along_balances(checked: No
     assert StepStatus.NOT_CONVERGED not in statuses
 
 
-@pytest.mark.slow
 def test_soft_tips_that_fold_are_followed_where_the_path_of_balances_turns_back() -> None:
     sensor = own_sensors.designed("pyramids")
     env: Any = gymnasium.make("ViTac/PegInsertion-v1", disable_env_checker=True, observation_keys=(), sensor=sensor)

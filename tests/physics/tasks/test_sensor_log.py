@@ -56,6 +56,7 @@ def test_books_follow_from_the_profile(recordings: list[Recording], reference_di
     assert info["gt_offset_mm_deg"].tolist() == pytest.approx([-3.78685246, -2.75353286, -8.43121809])
 
 
+@pytest.mark.slow
 def test_surface_motion_is_that_of_the_settled_minimum(recordings: list[Recording], reference_dir: Path) -> None:
     assets, solver = reference_dir / "assets" / "track1", SolverSettings()
     tight = replace(

@@ -48,6 +48,7 @@ def run(repository: Path, folder: Path, words: str, hidden: set[str], **variable
     return done.returncode, done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "hidden", "extra"),
     [
@@ -73,6 +74,7 @@ def test_a_missing_extra_is_one_sentence_with_the_remedy(
     assert install_command(extra or "maniskill") in said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [f"evaluate {POLICY} --episodes 1", "compile"])
 def test_physics_that_may_not_be_compiled_is_one_sentence(repository: Path, tmp_path: Path, words: str) -> None:
     code, said = run(repository, tmp_path, words, set(), NUMBA_DISABLE_JIT="1")
@@ -80,6 +82,7 @@ def test_physics_that_may_not_be_compiled_is_one_sentence(repository: Path, tmp_
     assert "Unset it and run the command again" in said.splitlines()[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", ["competition apply competitions/vitac-2025.yaml", "results publish new"])
 def test_organizers_elsewhere_need_nothing_of_the_server(repository: Path, tmp_path: Path, words: str) -> None:
     code, said = run(repository, tmp_path, f"admin --server http://127.0.0.1:9 {words}", SERVER)
@@ -91,6 +94,7 @@ def test_a_witness_needs_no_web_server(repository: Path, tmp_path: Path) -> None
     assert (code, said) == (0, "")
 
 
+@pytest.mark.slow
 def test_letters_that_a_terminal_lacks_end_no_command(repository: Path, tmp_path: Path) -> None:
     content = (repository / "competitions" / "vitac-2025.yaml").read_text().replace("title: ", "title: é", 1)
     (tmp_path / "cup.yaml").write_text(content)

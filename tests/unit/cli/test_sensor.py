@@ -165,6 +165,7 @@ def test_evaluate_refuses_a_broken_sensor_before_it_plays(run: Run, folder: Path
     assert err.startswith("vitac: thickness: 1.000 mm, expected 2 to 8 mm.")
 
 
+@pytest.mark.slow
 def test_evaluate_plays_the_estimator_with_and_without_sight_of_the_markers(
     run: Run, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -173,7 +173,7 @@ def script_of(lines: Iterator[str], address: str) -> str:
     return "\n".join(dict.fromkeys(WHOLE_LIST.sub(r"\1 --episodes 1:2", line) for line in chosen))
 
 
-@pytest.mark.slow
+@pytest.mark.slow(minutes=4)
 def test_the_commands_of_the_documents_work_one_after_the_other(repository: Path, workplace: Path) -> None:
     folders = {"VITAC_STATE_DIR": str(workplace / "state"), "XDG_CONFIG_HOME": str(workplace / "config")}
     with fresh_database() as database:

@@ -70,6 +70,7 @@ def play(service: CliService, folder: Path, token: str, successes: int) -> str:
     return submission
 
 
+@pytest.mark.slow
 def test_a_whole_competition_is_run_with_a_token_only(
     service: CliService, organizer: Organizer, tmp_path: Path
 ) -> None:

@@ -119,6 +119,7 @@ def test_evaluates_the_example_and_prints_leaderboard_and_addresses(finished: Fi
     assert max(len(line) for line in done.stdout.splitlines() if "http" not in line and "/" not in line) <= 80
 
 
+@pytest.mark.slow
 def test_a_second_run_reuses_all_episodes_and_keeps_its_token(finished: FinishedDemo) -> None:
     secret = finished.token.read_text()
     second = replace(finished.demo, warm_up="raise SystemExit('the physics is not needed')").run("--exit")
@@ -158,6 +159,7 @@ def test_stays_until_ctrl_c(finished: FinishedDemo) -> None:
     assert process.returncode == 0
 
 
+@pytest.mark.slow
 def test_ctrl_c_during_the_evaluation_says_what_is_stored(demo: DemoRun) -> None:
     demo.warm_up = "import time; time.sleep(600)"
     with demo.start("--exit") as process:
@@ -170,12 +172,14 @@ def test_ctrl_c_during_the_evaluation_says_what_is_stored(demo: DemoRun) -> None
     assert process.returncode == 130
 
 
+@pytest.mark.slow
 def test_a_sandbox_that_does_not_hold_ends_the_demo(demo: DemoRun) -> None:
     done = demo.run("--exit", VITAC_TEST_WORKER="refuses")
     assert done.returncode == 1
     assert "The worker runs no policies on this machine. The sandbox is not sound." in done.stderr
 
 
+@pytest.mark.slow
 def test_physics_that_do_not_compile_end_the_demo_and_name_the_log(demo: DemoRun) -> None:
     demo.warm_up = "raise SystemExit(3)"
     done = demo.run("--exit")

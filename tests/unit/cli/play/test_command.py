@@ -8,8 +8,10 @@ import sys
 from pathlib import Path
 
 import httpx
+import pytest
 
 
+@pytest.mark.slow
 def test_ctrl_c_prints_the_rate_of_what_was_played_by_touch(tmp_path: Path) -> None:
     arguments = ["play", "peg-insertion", "--out", str(tmp_path), "--no-browser", "--json"]
     with subprocess.Popen(

@@ -59,6 +59,7 @@ def no_connections(address: str) -> Iterator[None]:
         connection.execute(SQL("ALTER DATABASE {} ALLOW_CONNECTIONS true").format(Identifier(name)))
 
 
+@pytest.mark.slow
 def test_serves_pages_and_api_also_after_its_database_restarted_until_it_is_asked_to_stop(
     environment: dict[str, str],
 ) -> None:
@@ -115,6 +116,7 @@ def test_a_wrong_password_is_refused_at_once_and_not_taken_for_a_restart(environ
     assert "guess" not in complaints
 
 
+@pytest.mark.slow
 def test_beyond_this_machine_it_needs_the_address_that_people_use(environment: dict[str, str]) -> None:
     with serve(environment, "--host", "0.0.0.0") as process:  # noqa: S104 - is refused
         assert process.stderr is not None

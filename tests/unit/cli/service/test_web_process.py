@@ -19,6 +19,8 @@ from vitac.server.database.engine import Database
 from vitac.server.database.states import WorkState
 from worker_fakes import eventually
 
+pytestmark = pytest.mark.slow
+
 SERVE = "from vitac.cli.main import main; main(['serve', '--port', '0'])"
 TEAMS = "/api/v1/teams"
 

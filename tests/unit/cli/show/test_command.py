@@ -63,6 +63,7 @@ def test_draws_the_end_of_an_episode(run: Run, tmp_path: Path) -> None:
         assert image.size == (640, 365)
 
 
+@pytest.mark.slow
 def test_pictures_have_the_same_size_by_default(run: Run, tmp_path: Path) -> None:
     assert run("peg-insertion", "--episode", 5, "--step", 0, "--out", "a.png", "--colour", "displacement")[0] == 0
     with Image.open(tmp_path / "a.png") as image:
@@ -77,6 +78,7 @@ def test_folder_gets_a_picture_for_the_reset_and_every_env_step(run: Run, tmp_pa
     assert sorted(path.name for path in (tmp_path / "frames").iterdir()) == names
 
 
+@pytest.mark.slow
 def test_animation_has_a_picture_for_every_ipc_step(run: Run, tmp_path: Path) -> None:
     # 1 mm to the hole is two IPC steps, each of the three env steps ends with one down, after the first the peg waits.
     (tmp_path / "a.jsonl").write_text(json.dumps({**LINE_OF_2025, "steps": LINE_OF_2025["steps"][:1]}))  # type: ignore[index]
@@ -231,6 +233,7 @@ def test_cameras_of_an_env_step_are_drawn(run: Run, tmp_path: Path) -> None:
         assert image.size == (600, 384)
 
 
+@pytest.mark.slow
 def test_depth_is_that_of_the_tracks_task(run: Run, tmp_path: Path) -> None:
     for task in ("fusion-insertion", "fusion-insertion-gt"):
         arguments = (task, "--episode", 2, "--step", 0, "--view", "cameras", "--width", 600)
@@ -239,6 +242,7 @@ def test_depth_is_that_of_the_tracks_task(run: Run, tmp_path: Path) -> None:
     assert measured != exact
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["rast", "rt"])
 def test_a_rendering_of_an_env_step_is_drawn_where_sapien_is_and_else_refused(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: str

@@ -92,6 +92,7 @@ def test_a_kernel_outside_of_the_physics_may_count_from_the_back() -> None:
     assert pick(np.arange(5.0)[:3], -1) == 2.0
 
 
+@pytest.mark.slow
 def test_another_version_of_numba_gives_the_same_numbers_by_its_own_dispatcher(tmp_path: Path) -> None:
     script = (
         "import sys, numba\n"

@@ -18,6 +18,8 @@ from llvmlite import binding  # type: ignore[import-untyped]
 from numba.np import arrayobj
 from vitac.envs.compilation.numba_internals import indices_as_written
 
+pytestmark = pytest.mark.slow
+
 SMALL_KERNELS = """
 from vitac.envs.fem import algebra
 from vitac.envs.fem.contact import barrier
@@ -43,7 +45,6 @@ def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "cache"
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "expected"),
     [
@@ -63,7 +64,6 @@ def test_a_changed_module_is_compiled_with_what_depends_on_it(
     assert small_compiled_by(sources, cache) == expected
 
 
-@pytest.mark.slow
 def test_sources_that_change_while_a_process_runs_do_not_name_what_it_compiles(tmp_path: Path) -> None:
     cache = str(tmp_path / "cache")
     sources = clone(tmp_path / "clone")
@@ -103,7 +103,6 @@ def test_a_folder_that_cannot_be_written_is_not_needed(tmp_path: Path) -> None:
     assert list(tmp_path.glob("vitac-*/kernels/*/*.nbc"))
 
 
-@pytest.mark.slow
 def test_a_full_disk_does_not_fail_the_physics(tmp_path: Path) -> None:
     """Machine code larger than any file may be; the numbers are there, and the reason is logged."""
     cache = str(tmp_path / "cache")

@@ -53,6 +53,7 @@ def test_the_same_episode_gives_the_same_picture(peg_playback: Playback) -> None
     assert np.array_equal(first, second)
 
 
+@pytest.mark.slow
 def test_a_picture_shows_nothing_of_those_that_were_drawn_before(peg_playback: Playback) -> None:
     first, *others = peg_playback.moments
     believed = replace(first, belief_error=np.array([2.0, -1.0, 30.0]))

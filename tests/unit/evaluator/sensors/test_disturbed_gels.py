@@ -148,6 +148,7 @@ def test_corners_that_are_a_little_apart_are_one_and_others_are_named(
         assert "corners within 0.001 mm are taken as one" in closed.problem
 
 
+@pytest.mark.slow
 @disturbed
 @settings(max_examples=60)
 def test_every_gel_has_an_answer_in_seconds(

@@ -185,6 +185,7 @@ def manifests(draw: st.DrawFn) -> bytes:
     return (draw(texts) + middle * times + draw(texts)).encode("utf-8", "ignore")
 
 
+@pytest.mark.slow
 @settings(max_examples=300, suppress_health_check=[HealthCheck.too_slow])
 @given(st.binary(max_size=17_000) | manifests())
 @example(ALIASES_UNDER_PAIRS.encode())

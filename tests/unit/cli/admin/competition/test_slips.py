@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 from uuid import UUID
 
+import pytest
 from cli_service import CliService
 from service_factories import TASK, TRACK, make_principal, make_score, submit_scored
 from typer.testing import Result
@@ -63,6 +64,7 @@ def move(service: CliService, tmp_path: Path, content: dict[str, Any]) -> None:
     assert done.exit_code == 0, done.exception
 
 
+@pytest.mark.slow
 def test_a_competition_whose_organizer_slips_at_every_step_is_right_at_its_end(
     service: CliService, tmp_path: Path
 ) -> None:
