@@ -31,6 +31,8 @@ from vitac.server.submissions import creation
 from vitac.web.application import create
 from vitac.web.pages.routes import pages
 
+pytestmark = pytest.mark.slow
+
 SECOND = OWN_TRACK[OWN_TRACK.index("  own-pegs:") :].replace("own-pegs", "far-pegs")
 BOTH = OWN_TRACK.replace("accepts:", "combination_rule: The mean of both.\naccepts:") + SECOND.removeprefix("\n")
 REMOVED = {"track": BOTH.replace("pegs", "others"), "task": OWN_TRACK.replace("own-pegs", "far-pegs")}

@@ -24,7 +24,10 @@ from vitac.server.database.engine import Database
 from vitac.server.database.schema import upgrade
 
 TEMPLATE = "vitac_template"
-FAST = ("fsync=off", "synchronous_commit=off", "full_page_writes=off")
+FAST = (
+    *("fsync=off", "synchronous_commit=off", "full_page_writes=off"),
+    *("autovacuum=off", "wal_level=minimal", "max_wal_senders=0"),
+)
 MEMORY = Path("/dev/shm")
 MEMORY_USE = Path("/proc/meminfo")
 NEEDED_BYTES = 4 << 30

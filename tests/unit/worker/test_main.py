@@ -174,6 +174,7 @@ def test_worker_leaves_its_shard_when_the_service_declares_another_evaluator(
     assert states == {WorkState.QUEUED}
 
 
+@pytest.mark.slow
 def test_worker_finishes_what_began_with_its_evaluator_where_the_service_says_so_and_takes_nothing_afterwards(
     services: Services, archive_sha256: str
 ) -> None:

@@ -20,6 +20,8 @@ from vitac.server.database.cluster import SOCKET_PATH_LIMIT, Cluster, StateDirec
 from vitac.server.database.embedded import EmbeddedPostgres
 from worker_fakes import eventually
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def folder() -> Iterator[Path]:
@@ -296,7 +298,6 @@ def test_failed_start_says_what_the_server_said(folder: Path) -> None:
         EmbeddedPostgres(folder, options=("no_such_setting=1",)).start()
 
 
-@pytest.mark.slow
 def test_the_server_of_another_process_that_hangs_is_not_waited_for_without_end(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

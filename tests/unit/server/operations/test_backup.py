@@ -12,7 +12,7 @@ from typing import Any
 from uuid import UUID
 
 import pytest
-from databases import opened_database
+from databases import fresh_database
 from every_table import fill_every_table, rows_of_every_table
 from httpx import Client
 from service_client import API, Service, bearer, make_archive, running_service, serving
@@ -43,11 +43,12 @@ def service(database: Database, tmp_path: Path) -> Iterator[Service]:
 
 @pytest.fixture
 def empty(tmp_path: Path) -> Iterator[Services]:
-    """Open services without any data."""
-    with opened_database() as database:
-        settings = make_settings(state_dir=tmp_path / "new")
+    """Open services without any data, whose database is of no other test: a restored schema is worded differently."""
+    with fresh_database() as address:
+        settings, database = make_settings(state_dir=tmp_path / "new"), Database(address)
         settings.scratch_dir.mkdir(parents=True)
         yield Services(settings=settings, database=database, blobs=BlobStore.from_settings(settings), postgres=None)
+        database.dispose()
 
 
 @pytest.fixture

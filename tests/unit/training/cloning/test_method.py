@@ -88,6 +88,7 @@ def test_best_round_becomes_a_submission_that_acts_as_in_training(
     assert sum(ended) == counts[where == "blind"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stop_at", ["run: round-001: 2", "run: round 1", "run: round-002: 1", "blind: round 1"])
 def test_stopped_cloning_ends_with_the_same_bits(whole: tuple[Path, SensingGain], tmp_path: Path, stop_at: str) -> None:
     def stop(line: str) -> None:
