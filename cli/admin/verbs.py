@@ -32,7 +32,7 @@ def _marks(texts: list[str]) -> dict[str, float]:
         try:
             found[name] = float(mark)
         except ValueError:
-            raise typer.BadParameter(f"expected CRITERION=MARK such as structure=7.5, got {text!r}") from None
+            raise typer.BadParameter(f"expected NAME=NUMBER such as structure=7.5, got {text!r}") from None
     return found
 
 
@@ -204,6 +204,43 @@ NOUNS: Mapping[str, AdminNoun] = {
                 "GET /judging/{track}",
                 help="Show each team's marks with their spread, its figures and its total.",
                 show=views.print_judged,
+            ),
+        ],
+    ),
+    "brief": AdminNoun(
+        title="Briefs of teams, and what the committee decides",
+        verbs=[
+            Verb(
+                "list",
+                f"GET {STAGE}/briefs",
+                columns=("team", "team_id", "pages", "received_at", "accepted", "reason"),
+                none="No team has handed in a brief.",
+            ),
+            Verb(
+                "decide",
+                f"PUT {STAGE}/briefs/{{team_id}}/decision",
+                words={"accepted": "--accept/--decline"},
+                done="the committee has decided about {team}",
+            ),
+        ],
+    ),
+    "result": AdminNoun(
+        title="Results of attempts that were played elsewhere",
+        verbs=[
+            Verb(
+                "enter",
+                f"PUT {STAGE}/results",
+                arguments=("points",),
+                parse={"points": _marks},
+                of="entries",
+                columns=("rank", "team", "total", "attempt", "attempts", "evidence"),
+            ),
+            Verb(
+                "show",
+                f"GET {STAGE}/results",
+                of="entries",
+                columns=("rank", "team", "total", "attempt", "attempts", "evidence", "prize"),
+                none="No result was entered.",
             ),
         ],
     ),

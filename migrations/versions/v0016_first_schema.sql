@@ -206,6 +206,42 @@ CREATE TABLE invitations (
     CONSTRAINT uq_invitations_code_sha256 UNIQUE (code_sha256)
 );
 CREATE INDEX ix_invitations_team_id ON invitations (team_id);
+CREATE TABLE briefs (
+    competition TEXT NOT NULL,
+    track TEXT NOT NULL,
+    stage TEXT NOT NULL,
+    team_id UUID NOT NULL,
+    content BYTEA NOT NULL,
+    sha256 TEXT NOT NULL,
+    pages INTEGER NOT NULL,
+    received_at TIMESTAMP WITH TIME ZONE DEFAULT now() NOT NULL,
+    accepted BOOLEAN,
+    reason TEXT DEFAULT '' NOT NULL,
+    decided_by TEXT,
+    decided_at TIMESTAMP WITH TIME ZONE,
+    CONSTRAINT pk_briefs PRIMARY KEY (competition, track, stage, team_id),
+    CONSTRAINT ck_briefs_sha256_is_sha256 CHECK (sha256 ~ '^[0-9a-f]{64}$'),
+    CONSTRAINT ck_briefs_decision_has_a_time CHECK ((accepted IS NULL) = (decided_at IS NULL)),
+    CONSTRAINT fk_briefs_team_id FOREIGN KEY(team_id) REFERENCES teams (id) ON DELETE CASCADE
+);
+CREATE TABLE entered_results (
+    id SERIAL NOT NULL,
+    competition TEXT NOT NULL,
+    track TEXT NOT NULL,
+    stage TEXT NOT NULL,
+    team_id UUID,
+    baseline TEXT,
+    attempt INTEGER NOT NULL,
+    points JSONB NOT NULL,
+    evidence TEXT NOT NULL,
+    entered_by TEXT NOT NULL,
+    entered_at TIMESTAMP WITH TIME ZONE DEFAULT now() NOT NULL,
+    CONSTRAINT pk_entered_results PRIMARY KEY (id),
+    CONSTRAINT uq_entered_results_competition_track_stage_team_id_base_91b7 UNIQUE NULLS NOT DISTINCT (competition, track, stage, team_id, baseline, attempt),
+    CONSTRAINT ck_entered_results_is_of_a_team_or_a_baseline CHECK ((team_id IS NULL) <> (baseline IS NULL)),
+    CONSTRAINT ck_entered_results_attempt_is_counted_from_1 CHECK (attempt >= 1),
+    CONSTRAINT fk_entered_results_team_id FOREIGN KEY(team_id) REFERENCES teams (id) ON DELETE CASCADE
+);
 CREATE TABLE judging_conflicts (
     team_id UUID NOT NULL,
     judge TEXT NOT NULL,

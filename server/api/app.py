@@ -21,6 +21,7 @@ from ..settings import Settings
 from ..submissions.watch import Changes
 from . import (
     appeals,
+    by_hand,
     competitions,
     evaluations,
     health,
@@ -52,6 +53,7 @@ PASSWORDS_AT_ONCE = 2
 UNLIMITED = (
     ("POST", f"{API_PREFIX}{submissions.router.prefix}"),
     ("PATCH", f"{API_PREFIX}{uploads.router.prefix}/"),
+    ("PUT", f"{API_PREFIX}/briefs/"),
 )
 """Routes that take uploads, which have limits of their own."""
 
@@ -156,6 +158,7 @@ def _routes() -> Sequence[BaseRoute]:
         submissions.comparisons,
         receipts.router,
         judging.router,
+        by_hand.router,
         uploads.router,
         tracks.router,
         competitions.router,

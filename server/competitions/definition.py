@@ -27,11 +27,13 @@ class Advancement(StrictModel):
     top: Count | None = Field(default=None, description="Number of teams.")
     top_share: Share | None = Field(default=None, gt=0, description="This share of all registered teams.")
     score_at_least: Share | None = Field(default=None, description="Everybody with this success rate.")
+    committee: Literal[True] | None = Field(default=None, description="Everybody whose brief the committee accepts.")
 
     @model_validator(mode="after")
     def _is_one_rule(self) -> Self:
-        if sum(value is not None for value in (self.top, self.top_share, self.score_at_least)) != 1:
-            raise ValueError("give exactly one of top, top_share and score_at_least")
+        rules = (self.top, self.top_share, self.score_at_least, self.committee)
+        if sum(value is not None for value in rules) != 1:
+            raise ValueError("give exactly one of top, top_share, score_at_least and committee")
         return self
 
     @property
@@ -42,6 +44,8 @@ class Advancement(StrictModel):
             return f"the best {teams} of the stage before"
         if self.top_share is not None:
             return f"the best {100 * self.top_share:g} % of the registered teams, by the stage before"
+        if self.committee:
+            return "every team whose brief of the stage before the committee accepts"
         return f"every team with a success rate of {100 * (self.score_at_least or 0):g} % or more in the stage before"
 
 
@@ -73,6 +77,34 @@ class StageQuotas(StrictModel):
     attempts: Count | None = Field(default=None, description="However they end.")
 
 
+class BriefRules(StrictModel):
+    """A document in PDF that a committee reads; it gets no score, and its team advances or not."""
+
+    min_pages: Count = 1
+    max_pages: Count = 4
+
+    @model_validator(mode="after")
+    def _is_possible(self) -> Self:
+        if self.min_pages > self.max_pages:
+            raise ValueError(f"min_pages is {self.min_pages}, expected at most max_pages, {self.max_pages}")
+        return self
+
+    @property
+    def sentence(self) -> str:
+        """What is handed in, in words."""
+        pages = "1 page" if self.max_pages == 1 else f"{self.max_pages} pages"
+        return f"a brief of {'' if self.min_pages == self.max_pages else f'{self.min_pages} to '}{pages} as PDF"
+
+
+class EnteredTask(StrictModel):
+    """A task that is played elsewhere, such as on a robot, and whose points operators enter."""
+
+    name: Word
+    title: str
+    prompt: str = Field(default="", description="The task in words, as the policy gets it.")
+    points: Count = Field(description="Most points of an attempt.")
+
+
 class StageRules(StrictModel):
     """What the file says of a stage: when it is open, for what and for whom."""
 
@@ -96,6 +128,12 @@ class StageRules(StrictModel):
     quotas: StageQuotas = StageQuotas()
     public_pages: bool = Field(
         default=False, description="Everybody may see the results of its submissions, unless their team says otherwise."
+    )
+    brief: BriefRules | None = Field(default=None, description="Teams hand in a document, which a committee judges.")
+    entered: tuple[EnteredTask, ...] = Field(
+        default=(),
+        description="Operators enter the points of each attempt. Its score is their sum over these tasks, and a team's "
+        "best attempt counts.",
     )
     qualified: Advancement | None = Field(default=None, description="Only teams that advance by this rule.")
     witnesses: Amount = Field(
@@ -126,6 +164,9 @@ class StageRules(StrictModel):
             )
         if self.list is ListKind.PUBLIC and self.sealed is not None:
             raise ValueError(f"sealed is {self.sealed}, but the list is public. Leave it out, or make the list sealed")
+        _refuse_twice([task.name for task in self.entered], "task")
+        if self.brief is not None and self.entered:
+            raise ValueError("a stage has a brief or entered results, expected not both; make two stages of it")
         if self.name.endswith(FINAL_SUFFIX):
             raise ValueError(
                 f"expected a name that does not end in {FINAL_SUFFIX}, which stands for the final list of a stage, got "
@@ -263,6 +304,18 @@ class TrackRules(StrictModel):
         for before, after in zip(self.stages, self.stages[1:], strict=False):
             if self.taken_here and after.qualified is not None and before.list is ListKind.PUBLIC:
                 yield f"stages.{after.name}.qualified", f"{after.title} of {self.title} is for teams by {before.title}"
+
+    @model_validator(mode="after")
+    def _what_is_entered_is_played_elsewhere(self) -> Self:
+        for before, stage in zip((None, *self.stages), self.stages, strict=False):
+            if self.taken_here and (stage.brief or stage.entered):
+                raise ValueError(
+                    f"stage {stage.name} has briefs or entered results, so nothing of the track is played here: write "
+                    "`taken_here: false` for it"
+                )
+            if stage.qualified and stage.qualified.committee and not (before and before.brief):
+                raise ValueError(f"a committee decides who enters stage {stage.name}, but no stage before has a brief")
+        return self
 
     @model_validator(mode="after")
     def _stages_follow_each_other(self) -> Self:

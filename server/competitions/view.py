@@ -10,6 +10,7 @@ from vitac.evaluator.tracks import ListKind
 from ..database.clock import read_clock
 from ..database.models import SealedList, Submission, Team
 from ..errors import ProblemCode, ServiceError
+from ..views.by_hand import EnteredTaskView
 from ..views.competition import (
     CompetitionListView,
     CompetitionState,
@@ -166,4 +167,6 @@ def _stage(stage: Stage, lists: Lists, now: datetime) -> StageView:
         scored_runs=stage.quotas.scored_runs,
         attempts=stage.quotas.attempts,
         qualified=rules.qualified.sentence if rules.qualified else None,
+        brief=rules.brief.sentence if rules.brief else None,
+        entered=[EnteredTaskView(**task.model_dump()) for task in rules.entered],
     )

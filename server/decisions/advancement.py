@@ -144,6 +144,12 @@ def _rule(stage: Stage) -> tuple[Stage, Advancement]:
         raise ServiceError(
             ProblemCode.UNKNOWN_STAGE, f"Stage {stage.name} of {stage.track} is for all teams; nobody advances."
         )
+    if stage.rules.qualified.committee:
+        raise ServiceError(
+            ProblemCode.UNKNOWN_STAGE,
+            f"A committee decides who enters stage {stage.name} of {stage.track}, by the briefs of "
+            f"{stage.before.name}: `vitac admin brief decide`.",
+        )
     return stage.before, stage.rules.qualified
 
 

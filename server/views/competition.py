@@ -8,6 +8,7 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind
 
 from .base import View
+from .by_hand import EnteredTaskView
 from .leaderboards import LeaderboardView
 
 
@@ -69,6 +70,8 @@ class StageView(View):
     scored_runs: int | None = Field(description="Most scored evaluations of a team; null: any number.")
     attempts: int | None = Field(description="Most evaluations of a team, however they end; null: any number.")
     qualified: str | None = Field(description="Who advances to it, in words; null: it is for all teams.")
+    brief: str | None = Field(default=None, description="What teams hand in for a committee, in words; null: nothing.")
+    entered: list[EnteredTaskView] = Field(default=[], description="Tasks whose points operators enter.")
 
 
 class PrizeView(View):

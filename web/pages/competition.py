@@ -9,10 +9,13 @@ from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
 from vitac.server.accounts import messages
+from vitac.server.competitions.competition import Competition
 from vitac.server.competitions.view import competition_list_view, competition_view
+from vitac.server.decisions import entered_results
 from vitac.server.decisions.publishing import archive_view
 from vitac.server.leaderboards.descriptions import descriptions_among
 from vitac.server.leaderboards.public_pages import public_among
+from vitac.server.views.by_hand import EnteredBoardView
 from vitac.server.views.competition import ArchiveView, CompetitionView
 from vitac.server.views.correspondence import AnnouncementView
 from vitac.server.views.submissions import DescriptionView
@@ -39,13 +42,23 @@ async def competition(request: Request) -> Response:
     """
     competition = read_competition_name(request)
 
-    def read(session: Session) -> tuple[CompetitionView, Sequence[AnnouncementView], int]:
+    viewer = await get_viewer(request)
+    by = get_principal(viewer)
+
+    def read(
+        session: Session,
+    ) -> tuple[CompetitionView, Sequence[AnnouncementView], int, dict[tuple[str, str], EnteredBoardView]]:
         shown = competition_view(session, competition)
         said = messages.list_announcements(session, competition=shown.name)
-        return shown, said, len(competition_list_view(session).items)
+        held = Competition.find(session, shown.name)
+        boards = {
+            (stage.track, stage.name): entered_results.board(session, stage, by)
+            for stage in held.stages
+            if stage.rules.entered
+        }
+        return shown, said, len(competition_list_view(session).items), boards
 
-    found, said, n_competitions = await get_site(request).read(read)
-    viewer = await get_viewer(request)
+    found, said, n_competitions, boards = await get_site(request).read(read)
     return page(
         request,
         "competition.html",
@@ -55,8 +68,9 @@ async def competition(request: Request) -> Response:
         competition_url=competition_address(competition),
         board_address=partial(board_address, competition),
         has_others=n_competitions > 1,
+        entered_boards=boards,
         said=said[:N_SAID],
-        organizes_service=competition is not None and get_principal(viewer).organizes(competition),
+        organizes_service=competition is not None and by.organizes(competition),
         now=(now := datetime.now(UTC)),
         countdowns=list_countdowns(found, now),
     )

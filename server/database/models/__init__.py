@@ -5,6 +5,7 @@ Ids that people see are random UUIDs, times are UTC with zone, states are text u
 
 from .accounts import ApiToken, AuditEntry, Invitation, Member, Team, TeamQuota
 from .base import Base
+from .by_hand import Brief, EnteredResult
 from .competition import CompetitionRow, Qualification, Rejudgement, SealedList
 from .evaluations import (
     ALL_TASKS,
@@ -43,9 +44,11 @@ __all__ = [
     "Base",
     "BoardChange",
     "BoardResult",
+    "Brief",
     "CompetitionRow",
     "Cosignature",
     "DeclaredEvaluator",
+    "EnteredResult",
     "EpisodeDifference",
     "EpisodeResult",
     "Evaluation",

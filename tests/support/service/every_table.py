@@ -14,8 +14,10 @@ from vitac.server.database.models import (
     AppealReplay,
     ArchiveCopy,
     Base,
+    Brief,
     Cosignature,
     DeclaredEvaluator,
+    EnteredResult,
     EpisodeDifference,
     EpisodeResult,
     Evaluation,
@@ -92,6 +94,14 @@ def fill_every_table(session: Session, submission: Submission, evaluation: Evalu
                 difference=0.1,
             ),
             ArchiveCopy(submission_id=submission.id, earlier_submission_id=earlier.id, code=0.9, weights=None),
+            Brief(
+                competition="cup", track=track, stage=stage, team_id=team_id, content=b"%PDF-1.7\0", sha256="7" * 64,
+                pages=2,
+            ),
+            EnteredResult(
+                competition="cup", track=track, stage=stage, baseline="ours", attempt=1, points={"tube": 1.5},
+                evidence=TEXT, entered_by="console",
+            ),
             DeclaredEvaluator(track="track_1", version="1+abc"),
             MetricTotal(name="vitac_episodes_total", labels="{}", value=0.1),
             Notice(

@@ -58,6 +58,7 @@ READS = {
     "evaluation list",
     "evaluation show",
     "evaluation unserved",
+    "brief list",
     "judging rubric",
     "judging show",
     "notice list",
@@ -68,6 +69,7 @@ READS = {
     "receipt witnesses",
     "rejudge list",
     "rejudge show",
+    "result show",
     "results publish",
     "results winners",
     "station list",
@@ -137,6 +139,8 @@ CHANGES = {
 }
 """Arguments of a command, capitals standing for what there is, and the action of its line."""
 TRIED_ELSEWHERE = {
+    "brief decide",
+    "result enter",
     "judging conflict",
     "judging mark",
     "restore",
@@ -147,7 +151,8 @@ TRIED_ELSEWHERE = {
     "submission withdraw-clearance",
 }
 """They need an empty service (tests/unit/server/operations/test_backup.py), results of another evaluator version
-(tests/unit/cli/admin/test_rejudge.py), a judged track (tests/unit/server/decisions/test_judging.py), or a copy
+(tests/unit/cli/admin/test_rejudge.py), a judged track (tests/unit/server/decisions/test_judging.py), a stage played
+elsewhere (tests/unit/server/decisions/test_edition_2026.py), or a copy
 (tests/unit/server/evaluations/test_near_copies.py)."""
 
 

@@ -25,6 +25,7 @@ from vitac.server.database.engine import Database
 from vitac.server.database.models import (
     ApiToken,
     Appeal,
+    Brief,
     CompetitionRow,
     Invitation,
     Notice,
@@ -91,7 +92,7 @@ EVALUATION = "/api/v1/evaluations/{evaluation_id}"
 MEMBER = f"{TEAM}/members/{{member_id}}"
 LAST = ("cancel", "restart-unserved", "restart", "requeue", "{member_id}/token")
 """From then on there is no result, and at last the shared token no longer leads the team."""
-BYTES = ("/api/v1/uploads", "/api/v1/submissions", "/log/cosignatures")
+BYTES = ("/api/v1/uploads", "/api/v1/submissions", "/api/v1/briefs/own", "/log/cosignatures")
 """Take files, of which there is no dry run, or what anybody may add."""
 ENDS_A_TEAM = {
     ("post", f"{TEAM}/merge"),
@@ -161,6 +162,8 @@ class Setting:
             "name": "lab" if path == STATION else "000.p/1",
             "quota": "tokens",
         }
+        if path.startswith((f"{STAGE}/briefs", f"{STAGE}/results")):
+            ids |= {"track": "elsewhere", "stage": "brief" if "briefs" in path else "play"}
         if path == f"{SUBMISSION}/withdrawal" or (method, path) == ("delete", SUBMISSION):
             ids["submission_id"] = self.new_submission()
         if "{announcement_id}" in path:
@@ -337,6 +340,12 @@ BODIES: dict[tuple[str, str], Options] = {
         "json": {"code": setting.new_invitation()[1], "name": uuid4().hex[:12]}
     },
     ("put", f"{STAGE}/advancement"): lambda *_: {"json": {}},
+    ("put", "/api/v1/briefs/own"): lambda *_: {
+        "content": b"%PDF-1.4 1 0 obj << /Type /Page >> endobj",
+        "params": {"competition": "cup", "track": "elsewhere_too", "stage": "brief"},
+    },
+    ("put", f"{STAGE}/briefs/{{team_id}}/decision"): lambda *_: {"json": {"accepted": True, "reason": "good"}},
+    ("put", f"{STAGE}/results"): lambda *_: {"json": {"baseline": "ours", "points": {"tube": 1}, "evidence": "a film"}},
     ("put", f"{COMPETITION}/definition"): lambda *_: {"json": {"definition": make_competition()}},
     ("put", f"{TEAM}/disqualification"): lambda *_: {"json": {"reason": "two accounts"}},
     ("put", f"{TEAM}/quotas/{{quota}}"): lambda *_: {"json": {"limit": 7}},
@@ -405,6 +414,16 @@ def setting(filled: Setting, tmp_path: Path) -> Iterator[Setting]:
         yield replace(filled, service=service)
 
 
+def played_elsewhere(days: float = 0) -> dict[str, Any]:
+    """A track with a brief and results that operators enter, the second stage open; so many days later the first."""
+    now = datetime.now(UTC) + timedelta(days=days)
+    times = [(now + timedelta(days=days)).isoformat() for days in (-2, -1, 1)]
+    brief = {"name": "brief", "title": "Brief", "opens": times[0], "closes": times[1], "brief": {}}
+    task = {"name": "tube", "title": "Tube", "points": 10}
+    play = {"name": "play", "title": "Play", "opens": times[1], "closes": times[2], "entered": [task]}
+    return {"title": "Elsewhere", "taken_here": False, "stages": [brief, play]}
+
+
 def fill(service: Service) -> Setting:
     """Makes everybody and what they ask for."""
     sensor: dict[str, str | bytes] = {
@@ -419,7 +438,19 @@ def fill(service: Service) -> Setting:
     with service.services.database.transaction() as session:
         content = make_competition(appeal_days=7)
         content["tracks"] = {"track_2": content["tracks"][TRACK] | {"taken_here": False}}
+        content["tracks"] |= {"elsewhere": played_elsewhere(), "elsewhere_too": played_elsewhere(days=1.5)}
         put_in_place(session, content)
+        session.add(
+            Brief(
+                competition="cup",
+                track="elsewhere",
+                stage="brief",
+                team_id=service.principal.team_id,
+                content=b"%PDF-",
+                sha256="0" * 64,
+                pages=1,
+            )
+        )
         row = session.get_one(CompetitionRow, "cup")
         row.finalized_at, row.winners, row.boards = row.applied_at, [], []
         submission = session.get_one(Submission, UUID(submission_id))

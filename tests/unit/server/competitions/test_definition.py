@@ -55,7 +55,10 @@ def set_in(place: Callable[[Content], Content], **values: object) -> Callable[[C
         (set_in(second, opens=OPENS.isoformat()), "opens before stage stage1 closes"),
         (set_in(second, name=FIRST), "two stages 'stage1'"),
         (set_in(second, accepts=["log"]), "a sealed list ranks models, and the stage accepts only log"),
-        (set_in(second, qualified={"top": 1, "top_share": 0.5}), "exactly one of top, top_share and score_at_least"),
+        (
+            set_in(second, qualified={"top": 1, "top_share": 0.5}),
+            "exactly one of top, top_share, score_at_least and committee",
+        ),
         (set_in(second, qualified={}), "exactly one of"),
         (set_in(second, qualified={"top": 0}), "greater than 0"),
         (set_in(second, qualified={"top_share": 1.5}), "less than or equal to 1"),

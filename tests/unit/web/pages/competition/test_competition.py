@@ -1,6 +1,7 @@
 import re
 from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from typing import Any
 
 from asgi_browser import AsgiBrowser
@@ -8,8 +9,11 @@ from seeded_site import SeededSite, words
 from service_factories import TRACK
 from vitac.server.accounts.messages import publish_announcement
 from vitac.server.competitions.applying import freeze_boards
+from vitac.server.competitions.competition import Competition
+from vitac.server.competitions.definition import read_competition
 from vitac.server.competitions.sealing import seal
 from vitac.server.competitions.view import competition_view
+from vitac.server.decisions import entered_results
 from vitac.server.decisions.finishing import finalize
 from vitac.server.principals import CONSOLE
 from vitac.web.pages.competition import list_countdowns
@@ -18,6 +22,7 @@ from competitions import make_competition, moved, open_now, put_in_place, stored
 
 DAY = timedelta(days=1)
 NOW = datetime.now(UTC)
+EDITION_2026 = Path(__file__).parents[5] / "competitions" / "vitac-2026.yaml"
 
 
 def cup(*, days: float = 0, **changes: Any) -> dict[str, Any]:
@@ -117,3 +122,24 @@ def test_winners_are_shown_at_the_end(site: SeededSite) -> None:
 
 def test_without_a_competition_there_is_no_page(browser: AsgiBrowser) -> None:
     assert browser.get("/competition").status_code == 404
+
+
+def test_results_that_operators_enter_have_a_board_with_their_evidence(site: SeededSite) -> None:
+    content = read_competition(EDITION_2026).model_dump(mode="json")
+    site.hold(open_now(content, 1, "real_robot"))
+    with site.database.transaction() as session:
+        stage = Competition.read(session).stage("real_robot", "stage2")
+        for name, points in (("ours <b>", (200, 140)), ("theirs", (420, 280))):
+            entered_results.enter(
+                session, CONSOLE, stage, team=None, baseline=name, attempt=1, evidence="https://example.org/a.mp4 film",
+                points={"test_tube": points[0], "grinding": points[1]},
+            )  # fmt: skip
+    html = shown(site, content)
+    text = words(html)
+    assert "a brief of 2 to 4 pages as PDF" in text
+    assert "every team whose brief of the stage before the committee accepts" in text
+    assert "“Grind the named material with the pestle.”" in text
+    assert text.index("theirs baseline 420 280 700 1 of 1") < text.index("baseline 200 140 340 1 of 1")
+    assert "ours &lt;b&gt;" in html
+    assert 'href="https://example.org/a.mp4"' in html
+    assert "collected by the organizers" not in text

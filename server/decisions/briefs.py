@@ -1,0 +1,119 @@
+"""Briefs: documents in PDF that teams hand in and a committee judges, without a score. An accepted one advances."""
+
+import hashlib
+from collections.abc import Sequence
+from uuid import UUID
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from ..accounts import teams
+from ..audit import record
+from ..competitions.competition import Competition
+from ..competitions.definition import BriefRules
+from ..competitions.stages import Stage
+from ..database.clock import read_clock
+from ..database.models import Brief
+from ..errors import ProblemCode, ServiceError, not_found
+from ..principals import Principal
+from ..views.by_hand import BriefView
+from .pdf_pages import count_pages
+
+BRIEF_BYTES = 10 << 20
+
+
+def hand_in(session: Session, by: Principal, stage: Stage, content: bytes) -> Brief:
+    """Store the brief of the own team, in place of an earlier one, while the stage is open.
+
+    Raises:
+        ServiceError: no team's token, the stage takes no briefs now, the committee has decided already, or the document
+            is no PDF of so many pages.
+    """
+    team = teams.own(session, by)
+    teams.lock(session, team)
+    teams.require_taking_part(team)
+    rules, now = _require_rules(stage), read_clock(session)
+    if not stage.rules.opens <= now < stage.rules.closes:
+        raise ServiceError(
+            ProblemCode.STAGE_CLOSED,
+            f"Stage {stage.name} takes briefs from {stage.rules.opens:%F %T} to {stage.rules.closes:%F %T} UTC.",
+        )
+    pages = count_pages(content)
+    if not rules.min_pages <= pages <= rules.max_pages:
+        got = (
+            f"one of {pages}" if pages else "a file without pages that can be read; save it as PDF, without a password"
+        )
+        raise ServiceError(ProblemCode.INVALID_REQUEST, f"Expected {rules.sentence}, got {got}.")
+    brief = session.get(Brief, _key(stage, team.id))
+    if brief is not None and brief.accepted is not None:
+        raise ServiceError(ProblemCode.STAGE_CLOSED, f"The committee has decided about {team.name}'s brief already.")
+    if brief is None:
+        brief = Brief(competition=stage.competition, track=stage.track, stage=stage.name, team_id=team.id)
+        session.add(brief)
+    brief.content, brief.pages, brief.received_at = content, pages, now
+    brief.sha256 = hashlib.sha256(content).hexdigest()
+    session.flush()
+    record(session, by, "brief.hand-in", f"team:{team.id}", {"stage": stage.subject, "sha256": brief.sha256})
+    return brief
+
+
+def list_briefs(session: Session, by: Principal, stage: Stage) -> Sequence[Brief]:
+    """Return the briefs that somebody may see: the own team's, all for judges and organizers; in order of arrival."""
+    _require_rules(stage)
+    of_stage = select(Brief).where(
+        Brief.competition == stage.competition, Brief.track == stage.track, Brief.stage == stage.name
+    )
+    found = session.scalars(of_stage.order_by(Brief.received_at, Brief.team_id))
+    return [brief for brief in found if by.may_see(brief.team_id, stage.competition)]
+
+
+def find(session: Session, by: Principal, stage: Stage, team_id: UUID) -> Brief:
+    """Return the brief of a team.
+
+    Raises:
+        ServiceError: there is none that this principal may see.
+    """
+    brief = session.get(Brief, _key(stage, team_id))
+    if brief is None or not by.may_see(team_id, stage.competition):
+        raise not_found("brief", team_id)
+    return brief
+
+
+def decide(session: Session, by: Principal, stage: Stage, team_id: UUID, reason: str, *, accepted: bool) -> Brief:
+    """Note what the committee decided of a brief, once the stage has closed; again, it replaces the decision.
+
+    Raises:
+        ServiceError: not a judge or organizer, no such brief, the stage is open, the competition is final, or the team
+            would lose a place with which it has results.
+    """
+    competition = Competition.lock(session, stage.competition)
+    competition.require_not_final()
+    stage.require_over()
+    brief = find(session, by, stage, team_id)
+    before = {"accepted": brief.accepted, "reason": brief.reason} if brief.decided_at else None
+    brief.accepted, brief.reason, brief.decided_by, brief.decided_at = accepted, reason, by.actor, read_clock(session)
+    session.flush()
+    after = {"stage": stage.subject, "accepted": accepted, "reason": reason}
+    record(session, by, "brief.decide", f"team:{team_id}", after, before=before)
+    return brief
+
+
+def is_accepted(session: Session, stage: Stage, team_id: UUID) -> bool:
+    """Return whether the committee has accepted a team's brief of a stage."""
+    brief = session.get(Brief, _key(stage, team_id))
+    return brief is not None and brief.accepted is True
+
+
+def brief_view(brief: Brief) -> BriefView:
+    """Return a brief as its team, judges and organizers see it."""
+    return BriefView.from_row(brief, team=brief.team.name)
+
+
+def _key(stage: Stage, team_id: UUID) -> tuple[str, str, str, UUID]:
+    return stage.competition, stage.track, stage.name, team_id
+
+
+def _require_rules(stage: Stage) -> BriefRules:
+    if stage.rules.brief is None:
+        raise ServiceError(ProblemCode.UNKNOWN_STAGE, f"Stage {stage.name} of {stage.track} takes no briefs.")
+    return stage.rules.brief

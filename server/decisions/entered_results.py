@@ -1,0 +1,176 @@
+"""Results of attempts that were played elsewhere, as on a robot, entered by operators with their evidence.
+
+The score of an attempt is the sum over the stage's tasks, all of the same attempt; a team's best attempt counts.
+"""
+
+from collections.abc import Mapping, Sequence
+
+from sqlalchemy import Select, select
+from sqlalchemy.orm import Session
+
+from ..accounts import teams
+from ..accounts.shown_names import ShownNames
+from ..audit import record
+from ..competitions.competition import Competition
+from ..competitions.definition import EnteredTask
+from ..competitions.stages import Stage
+from ..database.clock import read_clock
+from ..database.models import EnteredResult, Team
+from ..errors import ProblemCode, ServiceError
+from ..principals import VISITOR, Principal
+from ..views.by_hand import EnteredBoardView, EnteredEntryView, EnteredTaskView
+from .briefs import is_accepted
+
+
+def enter(
+    session: Session,
+    by: Principal,
+    stage: Stage,
+    *,
+    team: str | None,
+    baseline: str | None,
+    attempt: int,
+    points: Mapping[str, float],
+    evidence: str,
+) -> EnteredResult:
+    """Store the points of an attempt, in place of what was entered of it before.
+
+    Args:
+        session: of the transaction.
+        by: an organizer.
+        stage: which one.
+        team: name or id.
+        baseline: in place of a team: name of a policy of the organizers', which is shown without a rank.
+        attempt: of the team, from 1.
+        points: of every task of the stage.
+        evidence: what shows it, such as the address of a film and its SHA-256.
+
+    Raises:
+        ServiceError: not an organizer, the stage has no such results, it has not opened, the competition is final, the
+            team is unknown or did not advance, or points are missing or out of range.
+    """
+    by.require_organizer(stage.competition)
+    competition = Competition.lock(session, stage.competition)
+    competition.require_not_final()
+    tasks = _require_tasks(stage)
+    if read_clock(session) < stage.rules.opens:
+        raise ServiceError(ProblemCode.STAGE_CLOSED, f"Stage {stage.name} opens at {stage.rules.opens:%F %T} UTC.")
+    if (team is None) == (baseline is None):
+        raise ServiceError(ProblemCode.INVALID_REQUEST, "Expected the name of a team or of a baseline, one of both.")
+    player = None if team is None else _find_taking_part(session, stage, team)
+    _require_whole(tasks, points)
+    row = session.scalar(
+        _of_stage(stage).where(
+            EnteredResult.team_id == (player.id if player else None),
+            EnteredResult.baseline == baseline,
+            EnteredResult.attempt == attempt,
+        )
+    )
+    before = None if row is None else {"points": row.points, "evidence": row.evidence}
+    if row is None:
+        row = EnteredResult(
+            competition=stage.competition, track=stage.track, stage=stage.name, team=player, baseline=baseline,
+            attempt=attempt,
+        )  # fmt: skip
+        session.add(row)
+    row.points, row.evidence, row.entered_by = dict(points), evidence, by.actor
+    session.flush()
+    after = {"player": player.name if player else baseline, "attempt": attempt, "points": dict(points)}
+    record(session, by, "result.enter", stage.subject, after | {"evidence": evidence}, before=before)
+    return row
+
+
+def board(session: Session, stage: Stage, by: Principal = VISITOR) -> EnteredBoardView:
+    """Return the best attempts of a stage: the largest sum first, of equal ones the one that was entered first.
+
+    Raises:
+        ServiceError: its results are not entered.
+    """
+    tasks, names = _require_tasks(stage), ShownNames.read(session, by)
+    best: dict[str, EnteredResult] = {}
+    attempts: dict[str, int] = {}
+    for row in session.scalars(_of_stage(stage).order_by(EnteredResult.entered_at, EnteredResult.id)):
+        if row.team is not None and row.team.disqualified_at is not None:
+            continue
+        player = names.show_name(row.team) if row.team is not None else row.baseline or ""
+        attempts[player] = attempts.get(player, 0) + 1
+        if player not in best or _total(tasks, row) > _total(tasks, best[player]):
+            best[player] = row
+    ordered = sorted(best.items(), key=lambda item: -_total(tasks, item[1]))
+    ranks = {player: rank for rank, player in enumerate((name for name, row in ordered if row.team is not None), 1)}
+    prizes = _list_prizes(stage) if stage.is_over(read_clock(session)) else []
+    return EnteredBoardView(
+        competition=stage.competition,
+        track=stage.track,
+        stage=stage.name,
+        tasks=[EnteredTaskView(**task.model_dump()) for task in tasks],
+        entries=[
+            EnteredEntryView(
+                rank=ranks.get(player),
+                team=player,
+                is_baseline=row.team is None,
+                attempt=row.attempt,
+                attempts=attempts[player],
+                points={task.name: row.points.get(task.name, 0) for task in tasks},
+                total=_total(tasks, row),
+                evidence=row.evidence,
+                entered_at=row.entered_at,
+                prize=next(iter(prizes[ranks[player] - 1 :][:1]), None) if player in ranks else None,
+            )
+            for player, row in ordered
+        ],
+    )
+
+
+def _list_prizes(stage: Stage) -> Sequence[str]:
+    """Return what each rank wins, from the first on; prizes go by the board of the track's last stage."""
+    rules = stage.track_rules
+    if rules.stages[-1].name != stage.name:
+        return []
+    return [prize.place for prize in rules.prizes for _ in range(prize.winners)]
+
+
+def _of_stage(stage: Stage) -> Select[EnteredResult]:
+    return select(EnteredResult).where(
+        EnteredResult.competition == stage.competition,
+        EnteredResult.track == stage.track,
+        EnteredResult.stage == stage.name,
+    )
+
+
+def _total(tasks: Sequence[EnteredTask], row: EnteredResult) -> float:
+    return float(sum(row.points.get(task.name, 0) for task in tasks))
+
+
+def _find_taking_part(session: Session, stage: Stage, name: str) -> Team:
+    team = teams.find(session, name)
+    teams.require_taking_part(team)
+    by_committee = stage.rules.qualified is not None and stage.rules.qualified.committee
+    if by_committee and (stage.before is None or not is_accepted(session, stage.before, team.id)):
+        raise ServiceError(
+            ProblemCode.NOT_QUALIFIED,
+            f"{team.name} has no brief that the committee accepted, so it takes no part in stage {stage.name}.",
+        )
+    return team
+
+
+def _require_tasks(stage: Stage) -> tuple[EnteredTask, ...]:
+    if not stage.rules.entered:
+        raise ServiceError(
+            ProblemCode.UNKNOWN_STAGE, f"Results of stage {stage.name} of {stage.track} are not entered."
+        )
+    return stage.rules.entered
+
+
+def _require_whole(tasks: Sequence[EnteredTask], points: Mapping[str, float]) -> None:
+    names = ", ".join(task.name for task in tasks)
+    if points.keys() != {task.name for task in tasks}:
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST, f"Expected points of {names}, got {', '.join(map(repr, points)) or 'none'}."
+        )
+    for task in tasks:
+        if not 0 <= points[task.name] <= task.points:
+            raise ServiceError(
+                ProblemCode.INVALID_REQUEST,
+                f"Expected points of {task.name} from 0 to {task.points}, got {points[task.name]:g}.",
+            )
