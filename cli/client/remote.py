@@ -5,15 +5,18 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Final
 from urllib.parse import urlsplit, urlunsplit
 
 import typer
 from vitac.envs.errors import VitacError
 
+from ..evaluate import Image, find_playing_kind
 from ..terminal.output import Server, TokenFile, existing, warn
+from ..terminal.own_policy import fall_back_where_nothing_isolates
 from .http import make_client
 from .status import show_when_ended
 from .submit import describe, packed
@@ -36,8 +39,14 @@ def remote() -> None:
 
 @app.command()
 def connect(
-    policy: Annotated[Path, typer.Argument(callback=existing, help="Folder with submission.yaml.")],
-    remote: Annotated[str, typer.Option(help="Your policy server, such as ws://127.0.0.1:8000.")],
+    policy: Annotated[
+        Path, typer.Argument(callback=existing, help="Folder or zip with submission.yaml, or tar of an image.")
+    ],
+    remote: Annotated[
+        str | None,
+        typer.Option(help="Your policy server, such as ws://127.0.0.1:8000; without it the policy itself plays here."),
+    ] = None,
+    image: Image = False,
     track: Annotated[
         str | None, typer.Option(help="Track to submit to; by default the one named in the submission.")
     ] = None,
@@ -52,17 +61,21 @@ def connect(
     server: Server = None,
     token_file: TokenFile = None,
 ) -> None:
-    """Submit a folder that describes a policy server, and carry the service's questions to it until there is a result.
+    """Submit what describes your policy, and carry the service's questions to it until there is a result.
+
+    It is a policy server, or the policy of a folder or an image, which plays on this machine as with `evaluate`.
 
     A line that is cut is dialled again; the episode that it cut is played again. Ctrl-C ends the lines: the service
     waits a minute for others.
     """
     from vitac.evaluator.remote.line import check_address
 
-    check_address(remote)
     client = make_client(server, token_file)
-    with connected(gate or gate_address(client.server), client.token or "", remote, lines):
-        with packed(policy) as archive:
+    with ExitStack() as stack:
+        folder, address = (policy, remote) if remote else stack.enter_context(_playing_here(policy, is_image=image))
+        check_address(address)
+        stack.enter_context(connected(gate or gate_address(client.server), client.token or "", address, lines))
+        with packed(folder) as archive:
             answer = client.upload(
                 archive,
                 track=track,
@@ -73,6 +86,37 @@ def connect(
             )
         describe(client, answer, is_known=False)
         show_when_ended(client, answer["id"], as_json=False)
+
+
+@contextmanager
+def _playing_here(policy: Path, *, is_image: bool) -> Iterator[tuple[Path, str]]:
+    """Serve a policy of one's own; return a folder that describes it to the service, and its address.
+
+    The folder names the policy's digest: for another policy all episodes are played anew.
+    """
+    import yaml
+    from vitac.evaluator.evaluation.serving import served
+    from vitac.evaluator.remote.description import DIALS_IN, RemoteProtocol
+    from vitac.evaluator.submission.manifest import load_manifest
+    from vitac.evaluator.submission.names import MANIFEST_NAME
+    from vitac.evaluator.submission.sources import staged, submission_digest
+
+    kind = find_playing_kind(policy, is_image=is_image)
+    fall_back_where_nothing_isolates()
+    with staged(policy, kind) as submission, TemporaryDirectory(prefix="vitac-remote-") as folder:
+        manifest = load_manifest(submission)
+        if manifest.remote is not None:
+            raise typer.BadParameter(
+                "submission.yaml has a policy server play; give its address.", param_hint="--remote"
+            )
+        content = manifest.model_dump(mode="json", include={"track", "tasks", "name", "control_modes"})
+        content["remote"] = {"protocol": str(RemoteProtocol.VLA_EVAL), "address": DIALS_IN}
+        if manifest.observation_keys is not None:
+            content["remote"]["observations"] = {key: key for key in manifest.observation_keys}
+        (Path(folder) / MANIFEST_NAME).write_text(yaml.safe_dump(content), encoding="utf-8")
+        (Path(folder) / "policy.sha256").write_text(f"{submission_digest(policy, kind=kind)}\n", encoding="utf-8")
+        with served(submission, kind) as address:
+            yield Path(folder), address
 
 
 def gate_address(server: str) -> str:

@@ -21,6 +21,7 @@ ANSWER_BYTES: Final = 1024 * 1024
 """Length of a message from a policy: a thousand actions of a hundred numbers. In memory it takes 64 times as much."""
 _AXES_MAX: Final = 8
 _NUMERIC: Final = re.compile(r"[<>|=]?(f[248]|[iu][1248])")
+_PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 _COLOUR_TYPES: Final = {1: 0, 3: 2, 4: 6}
 """Colour type of a PNG by its number of channels."""
 
@@ -52,9 +53,23 @@ def encode_png(picture: NDArray[np.uint8]) -> bytes:
     rows = np.zeros((height, 1 + width * channels), np.uint8)  # each begins with its filter: none
     rows[:, 1:] = picture.reshape(height, -1)
     chunks = ((b"IHDR", head), (b"IDAT", zlib.compress(rows.data, level=1)), (b"IEND", b""))
-    return b"\x89PNG\r\n\x1a\n" + b"".join(
+    return _PNG_SIGNATURE + b"".join(
         struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data)) for name, data in chunks
     )
+
+
+def decode_png(data: bytes) -> NDArray[np.uint8]:
+    """Return a picture that `encode_png` has written."""
+    fields: dict[bytes, bytes] = {}
+    place = len(_PNG_SIGNATURE)
+    while place < len(data):
+        length, name = struct.unpack_from(">I4s", data, place)
+        fields[name] = data[place + 8 : place + 8 + length]
+        place += length + 12
+    width, height, _, colour_type = struct.unpack_from(">IIBB", fields[b"IHDR"])
+    channels = next(number for number, colour in _COLOUR_TYPES.items() if colour == colour_type)
+    rows = np.frombuffer(zlib.decompress(fields[b"IDAT"]), np.uint8).reshape(height, 1 + width * channels)
+    return rows[:, 1:].reshape(height, width, channels)
 
 
 def decode(data: bytes) -> dict[Any, Any]:
@@ -93,6 +108,12 @@ def read_array(value: object) -> NDArray[np.generic]:
         got = type(value).__name__ if array.ndim == 0 else f"an array of {array.dtype}"
         raise PolicyFailed(VerdictCode.BAD_ACTION_TYPE, f"Expected an array of numbers, got {got}.")
     return array
+
+
+def read_value(value: Any) -> NDArray[Any]:
+    """Return an array or a picture that `encode` has written."""
+    is_picture = isinstance(value, Mapping) and "__image__" in value
+    return decode_png(value["data"]) if is_picture else read_array(value)
 
 
 def _read_map(value: Mapping[Any, Any]) -> NDArray[np.generic]:

@@ -14,7 +14,7 @@ from .description import RemoteProtocol, by_level
 from .line import Line, LineLost
 
 _BRIDGE_VERSION: Final = "robot-bridge-v1"
-_VLA_EVAL_VERSION: Final = 1
+VLA_EVAL_VERSION: Final = 1
 _ERROR_CHARACTERS: Final = 4096
 
 Sent = Mapping[str, NDArray[Any]]
@@ -97,11 +97,11 @@ class VlaEval:
 
     def greet(self, deadline_s: float) -> None:
         """Exchange greetings, and refuse another version of the protocol."""
-        self._send("hello", {"harness_version": "vitac", "protocol_version": _VLA_EVAL_VERSION}, deadline_s)
+        self._send("hello", {"harness_version": "vitac", "protocol_version": VLA_EVAL_VERSION}, deadline_s)
         payload = self._receive("hello", deadline_s)
         version = read_field(payload, "protocol_version")
-        if version != _VLA_EVAL_VERSION:
-            raise violation(f"Expected a model server of protocol version {_VLA_EVAL_VERSION}, got {version!r:.40}.")
+        if version != VLA_EVAL_VERSION:
+            raise violation(f"Expected a model server of protocol version {VLA_EVAL_VERSION}, got {version!r:.40}.")
 
     def begin(self, prompt: str, deadline_s: float) -> None:
         """Say that an episode begins; the server is silent."""

@@ -13,10 +13,12 @@ import numpy as np
 import pytest
 import yaml
 from vitac.evaluator.episodes.records import result_hash
+from vitac.evaluator.evaluation import serving
 from vitac.evaluator.evaluation.local import LocalEvaluation, evaluate
 from vitac.evaluator.logs.log import LogReader
 from vitac.evaluator.remote.description import RemoteServer
 from vitac.evaluator.remote.session import RemoteSession
+from vitac.evaluator.submission.sources import staged
 from vitac.evaluator.tracks import load_track
 
 pytestmark = pytest.mark.slow
@@ -153,6 +155,13 @@ def described(folder: Path, remote: str) -> Path:
 @pytest.fixture(scope="module")
 def in_sandbox() -> LocalEvaluation:
     return play(PEG_HEURISTIC, None)
+
+
+def test_own_policy_that_is_served_here_plays_with_the_hash_of_the_sandbox(
+    in_sandbox: LocalEvaluation, tmp_path: Path
+) -> None:
+    with staged(PEG_HEURISTIC) as submission, serving.served(submission) as address:
+        assert play(described(tmp_path, "{protocol: vla-eval}"), address).result_hash == in_sandbox.result_hash
 
 
 def test_openpi_server_plays_with_the_hash_of_the_sandbox(

@@ -1,5 +1,6 @@
 """`vitac remote connect` at a gate and a service; tests/unit/server/operations/test_remote_gate.py has the lines."""
 
+import re
 from functools import partial
 from pathlib import Path
 
@@ -40,6 +41,37 @@ def test_connects_submits_and_prints_the_result(tmp_path: Path) -> None:
             "", "remote", "connect", str(folder), "--remote", server, "--gate", policies, token="vitac_" + "x" * 43
         )
         assert isinstance(refused.exception, GateRefused)
+
+
+POLICY = """
+class Policy:
+    def reset(self, task): assert task == "peg-insertion"
+    def act(self, observation):
+        assert list(observation) == ["relative_motion"]
+        return [0.0, 0.0, 0.0]
+"""
+
+
+def test_a_folders_own_policy_is_asked_where_it_is_and_its_digest_is_sent(tmp_path: Path) -> None:
+    manifest = MANIFEST.replace("remote: {protocol: openpi, address: connect}", "observation_keys: [relative_motion]")
+    with (
+        gate(find=lambda secret: find_team(service.database, secret)) as (policies, players),
+        cli_service(tmp_path / "state", remote_gate=players) as service,
+        service.playing(),
+    ):
+        identities = []
+        for number, code in enumerate((POLICY, POLICY + "# another one", "class Policy: ...")):
+            folder = submission_folder(tmp_path / f"mine{number}", manifest)
+            (folder / "policy.py").write_text(code)
+            done = service.run("remote", "connect", str(folder), "--gate", policies)
+            if number == 2:  # it cannot answer the blank observation of the upload
+                assert "'Policy' object has no attribute" in str(done.exception)
+                continue
+            assert done.exit_code == 0, done.output
+            identities.append(re.search(r"submissions/([0-9a-f-]{36})", done.stdout))
+    assert identities[0] is not None
+    assert identities[1] is not None
+    assert identities[0][1] != identities[1][1]
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from PIL import Image
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
-from vitac.evaluator.remote.codec import decode, encode, encode_png, read_array, read_field
+from vitac.evaluator.remote.codec import decode, encode, encode_png, read_array, read_field, read_value
 
 BAD_TYPE, VIOLATION = VerdictCode.BAD_ACTION_TYPE, VerdictCode.PROTOCOL_VIOLATION
 
@@ -43,6 +43,7 @@ def test_pictures_are_png_where_the_server_reads_them(channels: int) -> None:
         np.testing.assert_array_equal(np.asarray(image).reshape(picture.shape), picture)
     sent = decode(encode({"rgb": picture}, binary_keys=False, png=True))["rgb"]
     assert (sent["__image__"], sent["format"], sent["shape"]) == (True, "png", [5, 7, channels])
+    np.testing.assert_array_equal(read_value(sent), picture)
 
 
 @pytest.mark.parametrize(
