@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from policies.table_attack import CHANGE, SECRET, TASK, Table, changed, improve, likeness, play, policies, rate
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.sealed import sealed_track
-
-from policies.table_attack import CHANGE, SECRET, TASK, Table, changed, improve, likeness, play, policies, rate
 
 EPISODES = slice(0, 12)
 

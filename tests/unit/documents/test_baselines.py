@@ -7,14 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from toy_peg import ToyPeg
-from trained_policy import figures, fresh_starts, played, public_starts
-from vitac.evaluator.scoring.score import rate
-from vitac.evaluator.tracks import load_track
-from vitac.training.collection import random_actor
-from vitac.training.episodes import play
-from vitac.training.streams import Use, stream
-
 from policies.baselines import (
     BASELINES,
     EXAMPLES,
@@ -30,6 +22,13 @@ from policies.baselines import (
     training_seeds,
 )
 from policies.marker_noise import errors
+from toy_peg import ToyPeg
+from trained_policy import figures, fresh_starts, played, public_starts
+from vitac.evaluator.scoring.score import rate
+from vitac.evaluator.tracks import load_track
+from vitac.training.collection import random_actor
+from vitac.training.episodes import play
+from vitac.training.streams import Use, stream
 
 
 class Counting:
