@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..scene.perspective import Plane
 from ..vision.camera import Sight
 from ..vision.optics import HEIGHT_PX, WIDTH_PX
+from ..vision.rasterizer import Label
 
 FloatArray = NDArray[np.float64]
 
@@ -83,8 +84,9 @@ class Frame:
 
     @classmethod
     def around(cls, sights: Sequence[Sight]) -> "Frame":
-        """Return the frame around all that is ever seen, with a scale for the first and the last depth picture."""
-        shown = np.any([sight.segmentation > 0 for sight in sights], axis=0)
+        """Return the frame around all bodies that are ever seen, with a scale for the first and last depth picture."""
+        empty = (Label.NOTHING, Label.TABLE, Label.WALL)
+        shown = np.any([~np.isin(sight.segmentation, empty) for sight in sights], axis=0)
         depths_mm = 1e3 * np.concatenate([sight.depth_m[sight.depth_m > 0] for sight in (sights[0], sights[-1])])
         low, high = np.quantile(depths_mm, (0.01, 0.99)) if len(depths_mm) else (0.0, 1000.0)
         return cls(

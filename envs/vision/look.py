@@ -1,7 +1,8 @@
-"""How pictures look: colours, light, clutter and noise of pixels."""
+"""How pictures look: colours, light, what stands around the base, and noise of pixels."""
 
 from dataclasses import dataclass
 from math import radians, sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,8 @@ _CLUTTER_AREAS_MM = (
 )
 _CLUTTER_SIZES_MM = (8.0, 30.0)
 _GROUND_MM = -2.5
+# Of table and wall, which fill the picture wherever the rig can stand: x where they meet, and how far they reach.
+_WALL_X_MM, _REACH_MM = -250.0, 1500.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +55,23 @@ def draw_clutter(look: Look, random: np.random.Generator) -> tuple[tuple[Surface
     draws = random.random((LARGEST_CLUTTER, 6))[: int(look.clutter)]
     labels = (Label.CLUTTER_OF_BASE, Label.CLUTTER_OF_PEG)
     return tuple((_box(draw, _CLUTTER_AREAS_MM[k % 3]), labels[k % 2]) for k, draw in enumerate(draws))
+
+
+class Sheet(NamedTuple):
+    """A flat rectangle."""
+
+    vertices_m: FloatArray  # [4, 3] [m]
+    triangles: IndexArray  # [2, 3] counter-clockwise seen from outside
+
+
+def build_surroundings() -> tuple[tuple[Sheet, Label], ...]:
+    """Return the table that the base stands on, and the wall behind it as the rig looks."""
+    near, far, low, high = _WALL_X_MM + _REACH_MM, _WALL_X_MM, _GROUND_MM, _GROUND_MM + _REACH_MM
+    left, right = -_REACH_MM, _REACH_MM
+    table = np.array([(far, left, low), (near, left, low), (near, right, low), (far, right, low)])
+    wall = np.array([(far, left, low), (far, right, low), (far, right, high), (far, left, high)])
+    halves = np.array([(0, 1, 2), (0, 2, 3)])
+    return (Sheet(1e-3 * table, halves), Label.TABLE), (Sheet(1e-3 * wall, halves), Label.WALL)
 
 
 def turned_hues(colours: FloatArray, labels: NDArray[np.uint8], look: Look) -> FloatArray:
@@ -132,6 +152,8 @@ _DARK_AND_GAIN = {
     Label.PEG: ((242.0, 4.0, 65.0), (13.0, 54.0, 20.0)),
     Label.LEFT_GEL: ((147.0, 255.0, 255.0), (13.0, 0.0, 0.0)),
     Label.RIGHT_GEL: ((147.0, 255.0, 255.0), (13.0, 0.0, 0.0)),
+    Label.TABLE: ((110.0, 100.0, 88.0), (45.0, 42.0, 38.0)),
+    Label.WALL: ((170.0, 172.0, 170.0), (50.0, 50.0, 48.0)),
 }
 _DARK_AND_GAIN |= {
     Label.CLUTTER_OF_BASE: _DARK_AND_GAIN[Label.BASE],

@@ -31,7 +31,7 @@ RGB_PICTURE: Observable[HasSight] = Observable(
     shape=(HEIGHT_PX, WIDTH_PX, 3),
     dtype="uint8",
     unit="1",
-    meaning="Red, green, blue; the base is blue, the peg red, the gels light blue, the background white.",
+    meaning="Red, green, blue; the base is blue, the peg red, the gels light blue; all else white, or table and wall.",
     read=lambda scene, _: scene.sight().colours,
     picture=True,
 )
@@ -63,7 +63,8 @@ SEGMENTATION: Observable[HasSight] = Observable(
     shape=(HEIGHT_PX, WIDTH_PX),
     dtype="uint8",
     unit="1",
-    meaning="0 nothing, 1 base, 2 peg, 3 left gel, 4 right gel, 5 and 6 clutter in the base's and the peg's colour.",
+    meaning="0 nothing, 1 base, 2 peg, 3 left gel, 4 right gel, 5 and 6 clutter in the base's and the peg's colour, "
+    "7 table, 8 wall.",
     read=lambda scene, _: scene.sight().segmentation,
     privileged=True,
 )

@@ -158,6 +158,8 @@ class Label(IntEnum):
     RIGHT_GEL = 4
     CLUTTER_OF_BASE = 5  # in the base's colour
     CLUTTER_OF_PEG = 6  # in the peg's
+    TABLE = 7
+    WALL = 8
 
 
 class VerticesDoNotFit(VitacError):

@@ -39,6 +39,8 @@ _COLOURS = {
     Label.PEG: (1.0, 0.0, 0.0, 1.0),
     Label.LEFT_GEL: (0.3, 1.0, 1.0, 1.0),
     Label.RIGHT_GEL: (0.3, 1.0, 1.0, 1.0),
+    Label.TABLE: (0.6, 0.55, 0.5, 1.0),
+    Label.WALL: (0.85, 0.85, 0.85, 1.0),
 }
 _LIGHT_DIRECTION = (0.0, -1.0, -1.0)
 _WHITE_LIGHT = (1.0, 1.0, 1.0)

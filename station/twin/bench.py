@@ -97,7 +97,7 @@ class Bench:
     begun: list[TwinFault] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self._meshes = Meshes()
+        self._meshes = Meshes(is_arena=True)
         self.stage = StageTwin(clock=self.time_s)
         self.gripper = GripperTwin(clock=self.time_s, object_at=None)
         self.box = ForceTorqueTwin(wrench=self._measure_wrench)

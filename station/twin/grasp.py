@@ -225,7 +225,12 @@ def _physics(hidden: HiddenSettings) -> PhysicsSettings:
             PairFriction(first=GEL_MATERIAL, second=GEL_MATERIAL, coefficient=hidden.gel_friction),
         )
     )
-    return PhysicsSettings(time_step_s=_TIME_STEP_S, contact=contact, youngs_modulus_pa=hidden.youngs_modulus_pa)
+    return PhysicsSettings(
+        time_step_s=_TIME_STEP_S,
+        contact=contact,
+        youngs_modulus_pa=hidden.youngs_modulus_pa,
+        poisson_ratio=hidden.poisson_ratio,
+    )
 
 
 def _rig(hidden: HiddenSettings) -> RigVariation:

@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
+from vitac.envs.tasks.settings import SILICONE_POISSON_RATIO
 from vitac.evaluator.strict_model import StrictModel, read_yaml
 
 Pair = tuple[float, float]
@@ -42,6 +43,7 @@ class HiddenSettings(StrictModel):
     plate_friction: NonNegativeFloat = 0.3
     """Coefficient of the peg against the plate."""
     youngs_modulus_pa: PositiveFloat = 3e5
+    poisson_ratio: float = Field(default=SILICONE_POISSON_RATIO, ge=0, le=0.499)
     indentation_mm: float = Field(default=0.875, gt=0, le=1.5)
     """How far the closed gripper presses each gel into the peg."""
     grasp_x_mm: float = 0.0
@@ -96,6 +98,7 @@ def draw_hidden(secret: bytes) -> HiddenSettings:
         right=_draw_sensor(generator),
         force_drift_n_h=between(-2.0, 2.0),
         rig=(between(-0.5, 0.5), between(-0.5, 0.5), between(-0.1, 0.1)),
+        poisson_ratio=between(0.45, 0.49),
     )
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from ...assets import Meshes
 from ...errors import VitacError
 from ...fem.model.mesh import SurfaceMesh
+from ...fem.model.settings import ContactModel
 from ...geometry.bases import (
     HEXAGON_HOLE_Y_MM,
     LARGEST_CLEARANCE_MM,
@@ -22,7 +23,7 @@ from ...geometry.pegs import PegShape, bottom_vertices, peg_surface
 from ...scene.grasped_scene import Clocks, PhysicsSettings, fixed_at_origin
 from ...tactile.markers import MarkerSettings
 from ...vision.camera import DepthMode, RigCamera, Sight
-from ...vision.look import CHALLENGE_LOOK, Look, draw_clutter
+from ...vision.look import CHALLENGE_LOOK, Look, Sheet, build_surroundings, draw_clutter
 from ...vision.pinhole import RigShift, colour_camera_pose
 from ...vision.rasterizer import Body, Label
 from ..insertion.interface import GRIPPER_X, GRIPPER_Z, PegOffset
@@ -269,7 +270,11 @@ class FusionScene(InsertionScene[FusionOffset, FusionInsertionSettings]):
         )
         super().__init__(parts, offset=start.offset, settings=settings, clocks=clocks)
         # A generator of its own, so that clutter leaves the noise of the pictures as it is.
-        self._clutter = draw_clutter(settings.look, np.random.default_rng((rig.noise_seed, _CLUTTER_STREAM)))
+        clutter = draw_clutter(settings.look, np.random.default_rng((rig.noise_seed, _CLUTTER_STREAM)))
+        self._around: tuple[tuple[SurfaceMesh | Sheet, Label], ...] = clutter
+        # Pictures of 2025 have a white background.
+        if settings.physics.contact.model is ContactModel.ARENA_2:
+            self._around += build_surroundings()
         self._rig = RigCamera(self._visible_bodies(), DepthMode(settings.depth_mode), settings.look)
         self._sight: Sight | None = None
         self._before: _Visible | None = None
@@ -320,7 +325,7 @@ class FusionScene(InsertionScene[FusionOffset, FusionInsertionSettings]):
         peg_m = grasped.held_vertices_m(np.arange(len(grasped.held.mesh.vertices_m)))
         positions_m = [grasped.fixed.mesh.vertices_m, peg_m, grasped.gel_nodes_m(0), grasped.gel_nodes_m(1)]
         return _Visible(
-            positions_m=[*positions_m, *(box.vertices_m for box, _ in self._clutter)],
+            positions_m=[*positions_m, *(solid.vertices_m for solid, _ in self._around)],
             y_m=(self.offset.y_mm + self.target.y_mm) * 1e-3,
             z_m=(self.offset.z_mm + Z_TARGET_MM) * 1e-3,
         )
@@ -329,7 +334,7 @@ class FusionScene(InsertionScene[FusionOffset, FusionInsertionSettings]):
         return offset.x_mm, offset.y_mm + self.target.y_mm, offset.z_mm + Z_TARGET_MM + START_GAP_MM
 
     def _visible_bodies(self) -> list[Body]:
-        """Return base, peg, both gels and clutter, in the order in which `sight` gives their positions."""
+        """Return base, peg, both gels and what stands around, in the order in which `sight` gives their positions."""
         grasped = self.grasped
         solids = ((grasped.fixed.mesh, Label.BASE), (grasped.held.mesh, Label.PEG))
         gel = grasped.gel
@@ -340,7 +345,7 @@ class FusionScene(InsertionScene[FusionOffset, FusionInsertionSettings]):
                 for label in (Label.LEFT_GEL, Label.RIGHT_GEL)
             ),
             *(
-                Body(vertex_count=len(box.vertices_m), triangles=box.triangles, label=label)
-                for box, label in self._clutter
+                Body(vertex_count=len(solid.vertices_m), triangles=solid.triangles, label=label)
+                for solid, label in self._around
             ),
         ]

@@ -1,5 +1,6 @@
 """What stands around the base in pictures."""
 
+import gymnasium
 import numpy as np
 import pytest
 from visible_scenes import STARTS, fusion_scene
@@ -34,6 +35,30 @@ def test_fewer_boxes_are_the_first_of_more() -> None:
     for (box, label), (other, as_other) in zip(few, many, strict=False):
         assert np.array_equal(box.vertices_m, other.vertices_m)
         assert label is as_other
+
+
+def test_under_arena_2_a_table_and_a_wall_fill_the_picture_and_have_a_depth() -> None:
+    options = {"start": (1.0, -2.0, 3.0, 5.0, 0), "rng_seed": (0, 3)}
+    plain, arena = (
+        gymnasium.make(
+            "ViTac/FusionInsertion-v1", disable_env_checker=True, contact_model=model, depth_mode="gt"
+        ).unwrapped
+        for model in ("challenge-2025", "arena-2")
+    )
+    sights = []
+    for env in (plain, arena):
+        env.reset(options=options)
+        sights.append(env._scene.sight())  # type: ignore[attr-defined]
+    around = [np.isin(sight.segmentation, (Label.TABLE, Label.WALL)) for sight in sights]
+    assert not around[0].any()
+    assert (sights[1].segmentation == Label.NOTHING).sum() == 0
+    assert (sights[1].depth_m > 0).all()
+    assert 0.4 < around[1].mean() < 1
+    objects = sights[1].objects
+    assert objects.peg_seen
+    assert objects.base_seen
+    # The challenge's colour rule finds no point of table or wall.
+    np.testing.assert_allclose(objects.points_m.mean(axis=1), sights[0].objects.points_m.mean(axis=1), atol=5e-3)
 
 
 Start = tuple[float, float, float, float, int]

@@ -4,6 +4,7 @@ import struct
 
 import numpy as np
 import pytest
+from vitac.envs.tactile.gel import arena_gel_mesh
 from vitac.station.perception.markers import cut_picture, find_centres
 from vitac.station.perception.observation import DAMAGED_PART, find_changed_part, measure_brightness
 from vitac.station.twin.bench import GARAGE, HOLE, PEG_AT, Backlash, Bench
@@ -56,6 +57,8 @@ def test_gripper_closes_on_the_peg_in_its_garage_and_both_gels_show_it(bench: Be
     before = centres(bench)
     fetch(bench)
     assert bench.held is not None
+    grasped = bench.held.scene
+    assert (grasped.gel.name, grasped.physics.poisson_ratio) == (arena_gel_mesh().name, 0.48)
     assert round(bench.gripper.position()) == PEG_AT
     for still, pressed in zip(before, centres(bench), strict=True):
         assert len(pressed) >= 0.9 * len(still)
