@@ -3,6 +3,8 @@
 Called by `site`.
 """
 
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache, partial
 from hashlib import sha256
@@ -12,6 +14,7 @@ from jinja2 import DictLoader, Environment, StrictUndefined, select_autoescape
 from markupsafe import Markup
 from starlette.requests import Request
 from vitac.evaluator.episodes.records import EpisodeOutcome, counted_env_steps
+from vitac.server.cache import Cache
 
 from .headers import size
 
@@ -22,6 +25,34 @@ FOLDER = Path(__file__).parent / "templates"
 def read_templates(folder: Path = FOLDER) -> dict[str, str]:
     """Return the templates below a folder, by their names."""
     return {file.relative_to(folder).as_posix(): file.read_text(encoding="utf-8") for file in folder.rglob("*.html")}
+
+
+MAX_FRAGMENTS = 5000
+"""Number of cached parts of pages, such as rows of boards of 2 to 4 kB."""
+_fragments: Cache[Hashable, Markup] = Cache(at_most=MAX_FRAGMENTS)
+
+
+@dataclass(frozen=True, eq=False)
+class Same:
+    """An object as part of a key: only the same object is equal, so one that nobody changes says all that is in it."""
+
+    of: object
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Same) and self.of is other.of
+
+    def __hash__(self) -> int:
+        return id(self.of)
+
+
+def kept(key: Hashable, caller: Callable[[], Markup]) -> Markup:
+    """Return the part of a page that a template's call encloses, rendered once for each key.
+
+    Args:
+        key: all that the part depends on, the name of its template first.
+        caller: renders it; Jinja gives it.
+    """
+    return _fragments.get(key, caller)
 
 
 TEMPLATES = read_templates()
@@ -38,6 +69,7 @@ def environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    jinja.globals["kept"] = kept
     jinja.filters.update(
         percent=percent,
         timestamp=timestamp,

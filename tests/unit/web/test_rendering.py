@@ -6,7 +6,7 @@ import jinja2
 import pytest
 from vitac.server.views.submissions import ArchiveContents, ModelCardView
 from vitac.web import rendering
-from vitac.web.rendering import STATIC, environment, static_url
+from vitac.web.rendering import STATIC, Same, environment, static_url
 
 
 @pytest.mark.parametrize(("fraction", "text"), [(0.0, "0.0 %"), (0.41481, "41.5 %"), (1.0, "100.0 %"), (None, "–")])
@@ -190,3 +190,19 @@ def test_the_card_of_a_sensor_without_code_names_no_policy() -> None:
     assert "Computes with" not in sensor
     coded = card.model_copy(update={"contents": contents.model_copy(update={"code_bytes": 900})})
     assert "<dt>Policy</dt>" in about.model_card(coded)  # type: ignore[attr-defined]
+
+
+def test_a_part_of_a_page_is_rendered_once_for_each_key() -> None:
+    entry, equal = ["a row"], ["a row"]
+    template = environment().from_string(
+        "{% for each in rows %}{% call kept(key(each)) %}{{ say(each[0]) }}{% endcall %}{% endfor %}"
+    )
+    said: list[str] = []
+
+    def say(text: str) -> str:
+        said.append(text)
+        return f"<{text}>"
+
+    html = template.render(rows=[entry, entry, equal], key=lambda each: ("test", Same(each)), say=say)
+    assert html == 3 * "&lt;a row&gt;"
+    assert said == ["a row"] * 2, "another object is another row, whatever is in it"

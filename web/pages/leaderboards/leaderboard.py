@@ -1,6 +1,6 @@
 """The leaderboard of a track: of all tasks, or of one."""
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
@@ -14,7 +14,13 @@ from vitac.server.leaderboards.descriptions import descriptions_among
 from vitac.server.leaderboards.public_pages import public_among
 from vitac.server.leaderboards.reading import shown_leaderboard, shown_log_boards, shown_rank_history
 from vitac.server.leaderboards.shake_up import list_shake_up
-from vitac.server.views.leaderboards import BaselineView, LeaderboardEntryView, LeaderboardView, TeamRanksView
+from vitac.server.views.leaderboards import (
+    BaselineView,
+    BoardEntryView,
+    LeaderboardEntryView,
+    LeaderboardView,
+    TeamRanksView,
+)
 from vitac.server.views.scores import TaskRateView, TaskScoreView
 
 from ...plots.axis import Figure
@@ -22,8 +28,8 @@ from ...plots.dates import DatedRate, ranks_by_date, rates_by_date
 from ...plots.delays import success_by_delay
 from ...plots.files import find_plot_file
 from ...plots.shake_up import draw_shake_up
-from ...rendering import steps, words
-from ...site import Site, get_principal, get_site, get_viewer, page
+from ...rendering import Same, steps, words
+from ...site import Site, Viewer, get_principal, get_site, get_viewer, page
 from ..addresses import AskedBoard, board_address
 from .paging import BoardPage, board_page
 from .tabs import known_track, read_surroundings
@@ -86,6 +92,11 @@ async def leaderboard(request: Request) -> Response:
     delays = success_by_delay(track, board.entries) if _is_combined(track, task) else []
     if plot := find_plot_file(request, filter(None, (dates, ranks_plot, shake_up, *delays))):
         return plot
+
+    def described(submission_id: UUID) -> str | None:
+        description = values["described"].get(submission_id)
+        return None if description is None else str(description.model_dump_json())
+
     return page(
         request,
         "leaderboard.html",
@@ -95,7 +106,10 @@ async def leaderboard(request: Request) -> Response:
         columns=shown_columns,
         baselines=_with_cells(shown_columns, _find_baselines(board, values["shown"])),
         all_baselines=_with_cells(shown_columns, board.baselines),
-        rows=_with_cells(shown_columns, values["shown"].entries),
+        rows=[
+            (entry, cells, (*row_key(entry, viewer, values["public"]), shown_columns, described(entry.submission_id)))
+            for entry, cells in _with_cells(shown_columns, values["shown"].entries)
+        ],
         dates=dates,
         ranks_plot=ranks_plot,
         shake_up_plot=shake_up,
@@ -105,6 +119,12 @@ async def leaderboard(request: Request) -> Response:
         episodes=sum(len(definition.episodes) for definition in counted),
         **values,
     )
+
+
+def row_key(entry: BoardEntryView, viewer: Viewer | None, public: Collection[UUID]) -> tuple[Hashable, ...]:
+    """Return what the row of an entry depends on, beside its columns: the entry, and what of it the visitor may see."""
+    is_shown = entry.submission_id in public or (viewer is not None and viewer.may_see(entry.team))
+    return Same(entry), viewer is not None and entry.team in viewer.own_names, is_shown
 
 
 def _find_baselines(board: LeaderboardView, shown: BoardPage[LeaderboardEntryView]) -> list[BaselineView]:
@@ -226,6 +246,7 @@ async def logs(request: Request) -> Response:
         own_names=own_names,
         logs_address=board_address(asked.competition, track.name) + asked.part,
         search=values["text_logs"].search,
+        row_key=partial(row_key, viewer=viewer, public=values["public"]),
         searchable=any(board.total > board.size for board in boards),
         **values,
     )
