@@ -35,7 +35,7 @@ NOT_RUN = {
     r"vitac station\b": "needs the devices of a laboratory; tests/unit/cli/test_station.py has twins of them",
     r"--station\b": "plays trials on a twin for minutes; tests/unit/station/test_trial.py does",
     r"vitac gap\b": "needs trials; tests/unit/cli/test_gap.py makes some",
-    r"--remote\b|remote connect": "needs a policy server or a gate; tests/integration/remote plays with those of packages",
+    r"--remote\b|remote connect": "needs a policy server or a gate; tests/integration/remote has those of packages",
     r"vitac sensor evaluate\b": "plays many episodes; tests/unit/cli/test_sensor.py does",
     r"first/|first$|check first\b|submit first\b": "needs the challenge's STL file; a dome is checked in its place",
     r"--out (episode.webp|frames)": "draws many pictures; tests/unit/cli/show does",
@@ -49,7 +49,8 @@ NOT_RUN = {
     r"\b(ID|FILE|KEY|HEX|DIGEST|NAME|DIR|PACKAGE|SUBMISSION)\b": "stands for what a finished evaluation has",
     r"vitac (question|appeal|team|publish|receipt|witness)\b":
         "needs a competition that runs; tests/unit/cli/client does",
-    r"admin (advance|brief|results?|judging|receipt export|rejudge|appeal|question|restore|team (accept|merge|disqualify))\b":
+    r"admin (brief|result) ": "needs a competition that is played elsewhere; tests/unit/server/decisions has one",
+    r"admin (advance|results|judging|receipt export|rejudge|appeal|question|restore|team (accept|merge|disqualify))\b":
         "needs a competition with results; tests/unit/cli/admin does",
     r"admin (announcement|competition (apply cup.yaml$|lists|reveal)|quota set)\b":
         "would change what follows; tests/unit/cli/admin does",

@@ -200,6 +200,25 @@ def test_policy_of_the_2026_edition_dials_warms_up_and_plays() -> None:
     assert sequence == [1, 2, 3]
 
 
+def test_second_policy_finds_nobody_to_dial_while_the_first_plays() -> None:
+    address, refusals = free_address(), []
+
+    def policy(connection: Any) -> None:
+        greet(connection)
+        connection.recv()
+        connection.send(packed({"type": "state", "state": "start"}))
+        with pytest.raises(OSError) as refused, connect(address, compression=None, open_timeout=1):
+            pass
+        refusals.append(refused.value)
+        for data in connection:
+            connection.send(packed({"type": "action", "obs_seq": decode(data)["obs_seq"], "action": ACTION}))
+
+    thread = dialling(address, policy)
+    assert act(address, [OBSERVATION] * 2, protocol="robot-bridge") == [[1, 0, 0]] * 2
+    thread.join()
+    assert len(refusals) == 1
+
+
 def flood_of_starts(connection: Any) -> None:
     greet(connection)
     while True:
