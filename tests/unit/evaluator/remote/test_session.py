@@ -207,7 +207,7 @@ def test_second_policy_finds_nobody_to_dial_while_the_first_plays() -> None:
         greet(connection)
         connection.recv()
         connection.send(packed({"type": "state", "state": "start"}))
-        with pytest.raises(OSError) as refused, connect(address, compression=None, open_timeout=1):
+        with pytest.raises(ConnectionRefusedError) as refused, connect(address, compression=None, open_timeout=1):
             pass
         refusals.append(refused.value)
         for data in connection:
