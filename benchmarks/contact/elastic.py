@@ -10,7 +10,7 @@ from small_scenes import IDENTITY, UPSIDE_DOWN, driven_positions_m
 from vitac.envs.fem.contact.forces import empty_memory
 from vitac.envs.fem.model.mesh import GelBody, GelMesh, RigidBody
 from vitac.envs.fem.model.settings import ArenaContactSettings, PairFriction
-from vitac.envs.fem.scene.scene import Scene, SceneState, StepStatus
+from vitac.envs.fem.scene.scene import Scene, StepStatus
 from vitac.envs.tasks.settings import require
 
 FloatArray = NDArray[np.float64]
@@ -58,7 +58,8 @@ class OnPlate:
     def continue_from(self, other: "OnPlate") -> None:
         """Take over where another gel of the same mesh stands, at rest and with nothing remembered of friction."""
         state = other.scene.state()
-        self.scene.restore(SceneState(state.positions_m, np.zeros_like(state.velocities_m_s), empty_memory()))
+        at_rest = state._replace(velocities_m_s=np.zeros_like(state.velocities_m_s), memory=empty_memory())
+        self.scene.restore(at_rest)
         self._targets_m = other._targets_m
 
     def force_n(self) -> FloatArray:

@@ -35,6 +35,7 @@ from contact.rigid import (
     rigid_strain,
     wedging_friction,
 )
+from contact.viscosity import VISCOUS
 
 CUBE = Block(material="wood")
 HEXAGON = Block(corners=6, radius_m=0.02, height_m=0.006, density_kg_m3=7800.0, material="brass")
@@ -268,10 +269,20 @@ def beams(choice: Choice) -> Iterator[Check]:
         yield Check(name=name, target=1.0, measured=bent_over_theory(rng, poisson_ratio, 2), bound=0.05, unit="")
 
 
+def viscosities(choice: Choice) -> Iterator[Check]:
+    """Yield how gels with a viscous branch relax, creep and cost energy against the standard linear solid."""
+    rng = choice.rng()
+    for poisson_ratio in (0.3, 0.48 if choice.poisson_ratio is None else choice.poisson_ratio):
+        for what, measure in VISCOUS.items():
+            name = f"viscous block: {what}: nu {poisson_ratio:.3g}"
+            yield Check(name=name, target=1.0, measured=measure(rng, poisson_ratio), bound=0.01, unit="")
+
+
 GROUPS = {
     group.__name__: group
     for group in (
         drifts, accelerations, strains, wedges, jams, energies, corners, throws, cycles, pads, grips, domes, beams,
+        viscosities,
     )
 }  # fmt: skip
 

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from time import thread_time
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..fem.contact.forces import PairForces
-from ..fem.model.mesh import GelBody, RigidBody, SurfaceMesh
+from ..fem.model.mesh import GelBody, PronyBranch, RigidBody, SurfaceMesh
 from ..fem.model.settings import AnyContactSettings, ContactSettings, SolverSettings
 from ..fem.scene.layout import placed
 from ..fem.scene.scene import Scene, SceneState, StepReport, StepStatus
@@ -50,6 +50,7 @@ class PhysicsSettings:
         gel_density_kg_m3: [kg/m3].
         gel_friction: friction coefficient of the gels; a pair of bodies has the mean of its two.
         rigid_density_kg_m3: of all rigid parts [kg/m3].
+        viscosity: branches of both gels, which then are of hexahedra; modulus and ratio above are those at rest.
     """
 
     time_step_s: float = 0.1
@@ -60,6 +61,12 @@ class PhysicsSettings:
     gel_density_kg_m3: float = 1000.0
     gel_friction: float = 87.5
     rigid_density_kg_m3: float = 500.0
+    viscosity: tuple[PronyBranch, ...] = ()
+
+    def __repr__(self) -> str:
+        """Return all fields, viscosity only where there is any: mesh hashes of settings without it stay as they are."""
+        shown = [each.name for each in fields(self) if each.name != "viscosity" or self.viscosity]
+        return f"{type(self).__qualname__}({', '.join(f'{name}={getattr(self, name)!r}' for name in shown)})"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -339,6 +346,7 @@ class GraspedScene:
             poisson_ratio=physics.poisson_ratio,
             density_kg_m3=physics.gel_density_kg_m3,
             friction=physics.gel_friction,
+            viscosity=physics.viscosity,
         )
 
     def _step_towards(self, pose: GripperPose) -> None:

@@ -85,6 +85,18 @@ def pair_friction(first: str, second: str) -> Callable[[Any, float], Any]:
     return apply
 
 
+def branch(name: str) -> Callable[[Any, float], Any]:
+    """Return what sets a field of the gels' viscous branch; without one its ratio is 0 and its time 1 s."""
+    from ..fem.model.mesh import PronyBranch
+
+    def apply(settings: Any, value: float) -> Any:
+        present = (*settings.physics.viscosity, PronyBranch(modulus_ratio=0.0, relaxation_time_s=1.0))[0]
+        viscosity = (replace(present, **{name: value}),)
+        return replace(settings, physics=replace(settings.physics, viscosity=viscosity))
+
+    return apply
+
+
 def check_draws(env_id: str, draws: Mapping[str, Sequence[float]], known: Sequence[Quantity]) -> Draws:
     """Return the ranges of quantities, checked.
 
@@ -132,6 +144,22 @@ TOUCH_QUANTITIES = (
         range=(0.0, 0.49),
         nominal=0.48,
         apply=setting("physics.poisson_ratio"),
+    ),
+    Quantity(
+        name="gel_viscous_ratio",
+        unit="1",
+        meaning="Shear modulus of both gels that relaxes, over the one that stays",
+        range=(0.0, 2.0),
+        nominal=0.0,
+        apply=branch("modulus_ratio"),
+    ),
+    Quantity(
+        name="gel_relaxation_s",
+        unit="s",
+        meaning="Relaxation time of both gels",
+        range=(0.01, 100.0),
+        nominal=1.0,
+        apply=branch("relaxation_time_s"),
     ),
     Quantity(
         name="indentation_mm",

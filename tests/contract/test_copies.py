@@ -22,7 +22,11 @@ BEFORE, AFTER = 3, 3
 LOOKS: dict[str, dict[str, Any]] = {
     "as ranked": {},
     "everything seen": {"privileged": True, "optional_observables": ("rgb_images",), "render_mode": "rgb_array"},
-    "drawn": {"randomization": "challenge", "contact_model": "arena-2"},
+    "drawn": {
+        "randomization": "challenge",
+        "contact_model": "arena-2",
+        "draws": {"gel_viscous_ratio": (0.3, 0.9), "gel_relaxation_s": (0.1, 2.0)},
+    },
 }
 
 

@@ -30,6 +30,7 @@ from ..linear.system import GEL_STRIDE, add_block
 from ..model.model import HEXAHEDRON_NODES as NODES
 from ..model.model import MODES, NO_MATRIX, PROJECTED_MATRIX, Hexahedra, NewtonSystem, get_mode, weight_place
 from .neo_hookean import lame_parameters_pa
+from .viscosity import deviator
 
 FloatArray = NDArray[np.float64]
 
@@ -47,11 +48,13 @@ class HexahedronScratch(NamedTuple):
     force: FloatArray  # [7, 3] dE by its modes
     jacobian: FloatArray  # [7, 7, 3, 3] derivative of that by the modes
     rows: FloatArray  # of the modes by the nodes: component (i, k) of mode s by node b at 8 (9 s + 3 i + k) + b
+    viscous: FloatArray  # [3, 3] stress of its viscous branches times the volume [J]
+    held_pa: FloatArray  # [c, 6] `viscosity.held_stress_pa` of all hexahedra in this step; empty without viscosity
     block: FloatArray  # of the nodes [N/m]: component (i, k) of nodes a and b at 8 (9 a + 3 i + k) + b
 
 
-def new_hexahedron_scratch() -> HexahedronScratch:
-    """Return uninitialised scratch."""
+def new_hexahedron_scratch(viscous: int = 0) -> HexahedronScratch:
+    """Return uninitialised scratch, for this number of hexahedra with viscosity."""
     return HexahedronScratch(
         modes=np.empty((MODES, 3)),
         strain=np.empty((HOURGLASS_VECTORS, 3)),
@@ -60,6 +63,8 @@ def new_hexahedron_scratch() -> HexahedronScratch:
         force=np.empty((MODES, 3)),
         jacobian=np.empty((MODES, MODES, 3, 3)),
         rows=np.empty(NODES * MODES * 9),
+        viscous=np.empty((COLUMNS, 3)),
+        held_pa=np.zeros((viscous, 6)),
         block=np.empty(NODES * NODES * 9),
     )
 
@@ -152,10 +157,43 @@ def _write_forces(hexahedra: Hexahedra, h: int, scratch: HexahedronScratch) -> t
             for m in range(HOURGLASS_VECTORS):
                 total += stress[m, k] * modes[COLUMNS + m, i]
             force[k, i] = total
+    if hexahedra.viscous_pa[h] > 0.0:
+        _add_viscous_forces(hexahedra, h, (c0, c1, c2), scratch)
     for m in range(HOURGLASS_VECTORS):
         for i in range(3):
             force[COLUMNS + m, i] = stress[m, 0] * c0[i] + stress[m, 1] * c1[i] + stress[m, 2] * c2[i]
     return J, pressure
+
+
+@kernel
+def _add_viscous_forces(hexahedra: Hexahedra, h: int, F: Mat3, scratch: HexahedronScratch) -> None:
+    """Write S = 2 V (G dev E - what the branches hold) and add sum_j S_kj c_j to the forces on the columns."""
+    viscous, force, e = scratch.viscous, scratch.force, deviator(F)
+    for k in range(COLUMNS):
+        for j in range(COLUMNS):
+            n = k if k == j else COLUMNS + _pair(k, j)
+            viscous[k, j] = 2.0 * hexahedra.volume_m3[h] * (hexahedra.viscous_pa[h] * e[n] - scratch.held_pa[h, n])
+            for i in range(3):
+                force[k, i] += viscous[k, j] * F[j][i]
+
+
+@kernel
+def _add_viscous_jacobian(factor: float, c: Mat3, scratch: HexahedronScratch, matrix: int) -> None:
+    """Add the derivative of those forces by the columns; factor is V G [J].
+
+    With dE_kl = (dc_k . c_l + c_k . dc_l) / 2 block (k, j) is
+    V G (delta_kj sum_l c_l c_l^T + c_j c_k^T - 2/3 c_k c_j^T) + S_kj I, whose last term a positive semi-definite
+    replacement leaves out.
+    """
+    jacobian, viscous = scratch.jacobian, scratch.viscous
+    for k in range(COLUMNS):
+        for j in range(COLUMNS):
+            _add_outer(jacobian[k, k], factor, c[j], c[j])
+            _add_outer(jacobian[k, j], factor, c[j], c[k])
+            _add_outer(jacobian[k, j], -2.0 / 3.0 * factor, c[k], c[j])
+            if matrix != PROJECTED_MATRIX:
+                for i in range(3):
+                    jacobian[k, j, i, i] += viscous[k, j]
 
 
 @kernel
@@ -190,6 +228,8 @@ def _write_jacobian(hexahedra: Hexahedra, h: int, pressure: float, scratch: Hexa
         if matrix == PROJECTED_MATRIX:
             for j in range(COLUMNS):
                 _add_outer(jacobian[k, k], 0.5 * volume * abs(pressure), g[j], g[j])
+    if hexahedra.viscous_pa[h] > 0.0:
+        _add_viscous_jacobian(volume * hexahedra.viscous_pa[h], c, scratch, matrix)
     for m in range(HOURGLASS_VECTORS):
         mode = COLUMNS + m
         for k in range(COLUMNS):

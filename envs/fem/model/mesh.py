@@ -414,6 +414,19 @@ GEL_MATERIAL = "gel"
 PART_MATERIAL = "part"
 
 
+@dataclass(frozen=True, kw_only=True)
+class PronyBranch:
+    """A spring and a damper in series beside a gel's elasticity, see `elastic.viscosity`.
+
+    Attributes:
+        modulus_ratio: shear modulus of the spring over that of the gel at rest [-].
+        relaxation_time_s: in which its force falls to 1/e [s].
+    """
+
+    modulus_ratio: float
+    relaxation_time_s: float
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GelBody:
     """A gel in a scene, placed by world = rotation @ rest + translation.
@@ -427,6 +440,7 @@ class GelBody:
         density_kg_m3: density [kg/m^3].
         friction: friction coefficient [-], for contact models that take the mean of two bodies.
         material: its name, for contact models with friction coefficients by pair of materials.
+        viscosity: branches beside the elasticity, whose constants are those of a gel at rest; for hexahedra.
     """
 
     mesh: GelMesh
@@ -437,6 +451,7 @@ class GelBody:
     density_kg_m3: float = 1000.0
     friction: float = 87.5
     material: str = GEL_MATERIAL
+    viscosity: tuple[PronyBranch, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

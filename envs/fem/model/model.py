@@ -46,6 +46,7 @@ class Hexahedra(NamedTuple):
     mu_pa: FloatArray  # [c]
     lambda_pa: FloatArray  # [c]
     stabilisation_n_m: FloatArray  # [c, 18]
+    viscous_pa: FloatArray  # [c] modulus of all viscous branches in a step, see `elastic.viscosity`; 0 for none
     places: IndexArray  # [c, 64] place of the block of nodes (a, b) in the system at 8 a + b, or NO_PLACE
 
 

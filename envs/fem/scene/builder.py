@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from ..affine import frame_mass
 from ..elastic.hexahedra import stabilisation_n_m
 from ..elastic.neo_hookean import lame_parameters_pa
+from ..elastic.viscosity import build_branches
 from ..linear.system import SystemLayout, gel_block_places, system_layout
 from ..model.mesh import GelBody, GelMesh, RigidBody
 from ..model.model import PRESCRIBED, Affine, Elastic, Hexahedra, Model, Parameters, Points, Surfaces, Unknowns
@@ -59,7 +60,7 @@ def build_model(
     unknowns = _build_unknowns(gels, bodies, layout, of_gels)
     return Model(
         elastic=_build_elastic(gels, of_gels),
-        hexahedra=_build_hexahedra(gels, of_gels),
+        hexahedra=_build_hexahedra(gels, of_gels, time_step_s),
         affine=_build_affine(bodies, layout, unknowns, constants.affine_stiffness_pa),
         points=_build_points(gels, bodies, layout),
         surfaces=_build_surfaces(gels, bodies, contact, counts_once=constants.is_arena),
@@ -128,7 +129,7 @@ def _build_elastic(gels: tuple[GelBody, ...], of_gels: GelLayout) -> Elastic:
     )
 
 
-def _build_hexahedra(gels: tuple[GelBody, ...], of_gels: GelLayout) -> Hexahedra:
+def _build_hexahedra(gels: tuple[GelBody, ...], of_gels: GelLayout, time_step_s: float) -> Hexahedra:
     blocks = [gel.mesh.blocks for gel in gels]
     counts = [len(gel.mesh.hexahedra) for gel in gels]
     lame_pa = np.array([lame_parameters_pa(gel.youngs_modulus_pa, gel.poisson_ratio) for gel in gels])
@@ -144,6 +145,7 @@ def _build_hexahedra(gels: tuple[GelBody, ...], of_gels: GelLayout) -> Hexahedra
         mu_pa=np.ascontiguousarray(mu_pa),
         lambda_pa=np.ascontiguousarray(lambda_pa),
         stabilisation_n_m=np.concatenate(stabilisation),
+        viscous_pa=build_branches(gels, time_step_s).modulus_pa.sum(axis=0),
         places=of_gels.hexahedron_places,
     )
 

@@ -85,6 +85,14 @@ def check_bodies(gels: Sequence[GelBody], bodies: Sequence[RigidBody]) -> None:
                 f"lock: at {_LOCKING_POISSON_RATIO} a ball presses 1.7 times as hard as into the continuum; mesh it by "
                 "hexahedra or give it a smaller one."
             )
+        for branch in gel.viscosity:
+            _check_positive(f"the viscosity of {name}", relaxation_time_s=branch.relaxation_time_s)
+            if not 0.0 <= branch.modulus_ratio < np.inf:
+                raise SceneError(
+                    f"modulus_ratio of the viscosity of {name} is {branch.modulus_ratio}, expected at least 0."
+                )
+        if gel.viscosity and not gel.mesh.is_hexahedral:
+            raise SceneError(f"{name} has viscosity, but {gel.mesh.name} is of tetrahedra; mesh it by hexahedra.")
     for index, body in enumerate(bodies):
         _check_place(f"body {index}", body)
         _check_positive(f"body {index}", density_kg_m3=body.density_kg_m3)

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from ..contact.forces import ContactMemory, PairForces, empty_memory, no_forces, pair_forces, sorted_memory
 from ..contact.overlap import find_overlap
 from ..elastic.elasticity import measure_stretches
+from ..elastic.viscosity import build_branches, follow_strain, held_stress_pa
 from ..model.mesh import GelBody, RigidBody
 from ..model.model import PRESCRIBED, point_positions
 from ..model.settings import AnyContactSettings, ContactSettings, CutOffSolverSettings, SolverSettings
-from ..solver.assembly import new_workspace
+from ..solver.assembly import Workspace, new_workspace
 from ..solver.iterate import IpcStep, remember_step
 from ..solver.newton import SOLVED, UNSOLVED, UNSTABLE, Counter, Measure, Record, Tolerances, forces_at, solve_step
 from ..solver.path import BalancePath
@@ -128,11 +129,12 @@ class _Attempt:
 
 
 class SceneState(NamedTuple):
-    """State of a scene: nodes, shapes [n, 3], and what contacts remember."""
+    """State of a scene: nodes, shapes [n, 3], what contacts remember, and strains of viscous branches, [b, c, 6]."""
 
     positions_m: FloatArray
     velocities_m_s: FloatArray
     memory: ContactMemory
+    viscous_strain: FloatArray
 
 
 class Scene:
@@ -169,7 +171,9 @@ class Scene:
             self._solver,
         )
         self._x = self._layout.initial_positions_m()
-        self._workspace = new_workspace(self._model.system, len(self._x))
+        self._branches = build_branches(self._gels, time_step_s)
+        self._viscous_strain = np.zeros((*self._branches.rate.shape, 6))
+        self._workspace = self._new_workspace()
         self._velocity = np.zeros_like(self._x)
         self._memory = empty_memory()
         self._last_start: tuple[FloatArray, ContactMemory] | None = None
@@ -182,7 +186,11 @@ class Scene:
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take over a state, with scratch of its own."""
         vars(self).update(state)
-        self._workspace = new_workspace(self._model.system, len(self._x))
+        self._workspace = self._new_workspace()
+
+    def _new_workspace(self) -> Workspace:
+        branches, hexahedra = self._branches.rate.shape
+        return new_workspace(self._model.system, len(self._x), hexahedra if branches else 0)
 
     def step(self, *, driven_targets_m: Sequence[FloatArray]) -> StepReport:
         """Advance one time step while the driven nodes of each gel move to their targets [m], shapes [d, 3].
@@ -193,10 +201,15 @@ class Scene:
         x_hat, target = start + time_step_s * self._velocity, self._target(driven_targets_m)
         attempt = _Attempt(start=start, memory=self._memory, x_hat=x_hat, target=target, held=np.zeros_like(start))
         self._last_start = start, self._memory
+        if len(self._viscous_strain):
+            self._workspace.hexahedron.held_pa[:] = held_stress_pa(self._branches, self._viscous_strain)
         status, parts = self._solve(attempt)
         self._velocity = (self._x - start) / time_step_s
         if self._model.parameters.remembers_slip:
             self._memory = sorted_memory(remember_step(self._model, self._x, start, attempt.memory))
+        if len(self._viscous_strain):
+            strain = follow_strain(self._branches, self._viscous_strain, self._model.hexahedra, self._x)
+            self._viscous_strain = strain
         force, torque = self._net_load(self._workspace.system.gradient)
         counts, measures = attempt.record
         largest_stretch, high_stretch = measure_stretches(self._model.elastic, self._model.hexahedra, self._x)
@@ -239,17 +252,18 @@ class Scene:
 
     def state(self) -> SceneState:
         """Return all that what follows depends on."""
-        return SceneState(self._x.copy(), self._velocity.copy(), self._memory)
+        return SceneState(self._x.copy(), self._velocity.copy(), self._memory, self._viscous_strain)
 
     def restore(self, state: SceneState) -> None:
         """Go back to a state of this scene."""
         self._x[:] = state.positions_m
         self._velocity = state.velocities_m_s.copy()
         self._memory, self._last_start = state.memory, None
+        self._viscous_strain = state.viscous_strain
 
     def state_bytes(self) -> bytes:
-        """Return the state as little-endian float64 and int64, for hashing; without memory as if there were none."""
-        numbers = (self._x, self._velocity, self._memory.slip_m, self._memory.direction)
+        """Return the state as little-endian float64 and int64, for hashing; empty parts add nothing."""
+        numbers = (self._x, self._velocity, self._memory.slip_m, self._memory.direction, self._viscous_strain)
         return b"".join(array.astype("<f8").tobytes() for array in numbers) + self._memory.pairs.astype("<i8").tobytes()
 
     def _refuse_overlap(self) -> None:

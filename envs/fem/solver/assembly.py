@@ -68,15 +68,15 @@ class Workspace(NamedTuple):
     stencil: Stencil  # of one contact at a time
 
 
-def new_workspace(layout: SystemLayout, nodes: int) -> Workspace:
-    """Return the arrays for a system of this layout and number of nodes."""
+def new_workspace(layout: SystemLayout, nodes: int, viscous: int = 0) -> Workspace:
+    """Return the arrays for a system of this layout, number of nodes, and of hexahedra with viscosity."""
     return Workspace(
         system=new_newton_system(layout, nodes),
         factor=new_factor(layout),
         smallest=np.empty(2),
         active=np.empty(1, dtype=np.int64),
         batch=new_elastic_batch(),
-        hexahedron=new_hexahedron_scratch(),
+        hexahedron=new_hexahedron_scratch(viscous),
         stencil=new_stencil(),
     )
 

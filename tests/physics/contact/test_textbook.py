@@ -7,6 +7,7 @@ from contact.elastic import Rubber, sheared_grip, slide_pad
 from contact.faces import change_of_velocity, press_corner, work_of_cycle_j
 from contact.jamming import PegInHole
 from contact.rigid import Block, incline_acceleration_error, incline_drift_m, is_wedged, largest_rise_of_energy
+from contact.viscosity import VISCOUS
 
 BRASS = Block(corners=6, radius_m=0.02, height_m=0.006, density_kg_m3=7800.0, material="brass")
 NYLON = Block(corners=3, radius_m=0.03, height_m=0.02, density_kg_m3=1200.0, material="nylon")
@@ -75,3 +76,8 @@ def test_no_closed_cycle_of_shear_and_pressure_yields_energy(seed: int) -> None:
     work_j, stored_j = work_of_cycle_j(np.random.default_rng(seed), 0.6)
     assert stored_j > 0.0
     assert work_j < 1e-6 * stored_j
+
+
+@pytest.mark.parametrize("what", VISCOUS)
+def test_viscous_gel_relaxes_creeps_and_costs_energy_as_the_standard_linear_solid(what: str) -> None:
+    assert VISCOUS[what](np.random.default_rng(11), 0.47) == pytest.approx(1.0, abs=0.01)

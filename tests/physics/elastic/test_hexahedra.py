@@ -9,7 +9,7 @@ from engine_probe import dense_matrix
 from numpy.typing import NDArray
 from vitac.envs.fem.elastic.hexahedra import add_hexahedra, new_hexahedron_scratch
 from vitac.envs.fem.elastic.neo_hookean import lame_parameters_pa
-from vitac.envs.fem.model.mesh import GelBody, GelMesh, MeshError
+from vitac.envs.fem.model.mesh import GelBody, GelMesh, MeshError, PronyBranch
 from vitac.envs.fem.model.model import EXACT_MATRIX, NO_MATRIX, PROJECTED_MATRIX, Model, new_newton_system
 from vitac.envs.fem.model.settings import ContactSettings, SolverSettings
 from vitac.envs.fem.scene.builder import build_model
@@ -21,13 +21,19 @@ FloatArray = NDArray[np.float64]
 MODULUS_PA = 2.3e5
 
 
-def model_of(mesh: GelMesh, poisson_ratio: float = 0.41, rotation: FloatArray | None = None) -> Model:
+def model_of(
+    mesh: GelMesh,
+    poisson_ratio: float = 0.41,
+    rotation: FloatArray | None = None,
+    viscosity: tuple[PronyBranch, ...] = (),
+) -> Model:
     gel = GelBody(
         mesh=mesh,
         rotation=np.eye(3) if rotation is None else rotation,
         translation_m=np.zeros(3),
         youngs_modulus_pa=MODULUS_PA,
         poisson_ratio=poisson_ratio,
+        viscosity=viscosity,
     )
     return build_model((gel,), (), NodeLayout((gel,), ()), 0.1, ContactSettings(), SolverSettings())
 
@@ -35,9 +41,12 @@ def model_of(mesh: GelMesh, poisson_ratio: float = 0.41, rotation: FloatArray | 
 class Probe:
     """Forces [N] and matrices [N/m] of the elasticity of a model."""
 
-    def __init__(self, model: Model, nodes: int) -> None:
+    def __init__(self, model: Model, nodes: int, held_pa: FloatArray | None = None) -> None:
         self.model = model
-        self.system, self._scratch = new_newton_system(model.system, nodes), new_hexahedron_scratch()
+        self.system = new_newton_system(model.system, nodes)
+        self._scratch = new_hexahedron_scratch(0 if held_pa is None else len(held_pa))
+        if held_pa is not None:
+            self._scratch.held_pa[:] = held_pa
 
     def forces_n(self, x: FloatArray, matrix: int = NO_MATRIX, move: FloatArray | None = None) -> FloatArray:
         for array in (self.system.gradient, self.system.entries, self.system.coupling):
@@ -70,9 +79,18 @@ def strained(mesh: GelMesh, seed: int = 0) -> FloatArray:
     return np.asarray(x + 1e-4 * random.normal(size=x.shape))
 
 
-def test_matrix_is_the_derivative_of_the_forces(bevelled: GelMesh) -> None:
+BRANCHES = (
+    PronyBranch(modulus_ratio=0.7, relaxation_time_s=0.3),
+    PronyBranch(modulus_ratio=0.2, relaxation_time_s=4.0),
+)
+
+
+@pytest.mark.parametrize("viscosity", [(), BRANCHES])
+def test_matrix_is_the_derivative_of_the_forces(bevelled: GelMesh, viscosity: tuple[PronyBranch, ...]) -> None:
     x = strained(bevelled)
-    probe = Probe(model_of(bevelled), len(x))
+    held_pa = 1e4 * np.random.default_rng(3).normal(size=(len(bevelled.hexahedra), 6))
+    held_pa[:, :3] -= held_pa[:, :3].mean(axis=1, keepdims=True)
+    probe = Probe(model_of(bevelled, viscosity=viscosity), len(x), held_pa)
     matrix, unknowns = probe.matrix_n_m(x), probe.model.unknowns.node
     for direction in np.random.default_rng(1).normal(size=(3, *x.shape)):
         move = np.where(bevelled.driven[:, None], 0.0, direction)

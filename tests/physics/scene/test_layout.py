@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from block_meshes import box_gel, box_surface
 from small_scenes import IDENTITY, driven_positions_m
-from vitac.envs.fem.model.mesh import GelBody, RigidBody
+from vitac.envs.fem.model.mesh import GelBody, PronyBranch, RigidBody
 from vitac.envs.fem.model.settings import ContactSettings, SolverSettings
 from vitac.envs.fem.scene.layout import SceneError
 from vitac.envs.fem.scene.scene import Scene
 
 GEL = GelBody(mesh=box_gel((0.01, 0.01, 0.01), (1, 1, 1)), rotation=IDENTITY, translation_m=np.zeros(3))
+SLOW = PronyBranch(modulus_ratio=0.5, relaxation_time_s=2.0)
 BODY = RigidBody(mesh=box_surface((0.01, 0.01, 0.01)), rotation=IDENTITY, translation_m=np.array([0.0, 0.0, 1.0]))
 
 
@@ -26,6 +27,15 @@ def scene(gel: GelBody = GEL, body: RigidBody = BODY, time_step_s: float = 0.1, 
         ({"gel": replace(GEL, youngs_modulus_pa=-1.0)}, "youngs_modulus_pa of gel 0 is -1.0"),
         ({"gel": replace(GEL, poisson_ratio=0.5)}, "poisson_ratio of gel 0 is 0.5"),
         ({"gel": replace(GEL, poisson_ratio=0.49)}, "of linear tetrahedra, which lock: at 0.49 a ball presses 1.7"),
+        ({"gel": replace(GEL, viscosity=(SLOW,))}, "gel 0 has viscosity, but .* is of tetrahedra"),
+        (
+            {"gel": replace(GEL, viscosity=(replace(SLOW, relaxation_time_s=0.0),))},
+            "relaxation_time_s of the visc",
+        ),
+        (
+            {"gel": replace(GEL, viscosity=(replace(SLOW, modulus_ratio=-0.1),))},
+            "modulus_ratio of the viscosity",
+        ),
         ({"gel": replace(GEL, friction=-1.0)}, "friction of gel 0"),
         ({"body": replace(BODY, translation_m=np.array([0, np.nan, 0]), fixed=True)}, "translation_m of body 0"),
         ({"body": replace(BODY, rotation=-IDENTITY)}, "rotation of body 0"),

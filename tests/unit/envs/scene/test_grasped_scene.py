@@ -6,7 +6,7 @@ from fake_scene import FakeScene
 from numpy.typing import NDArray
 from vitac.envs.assets import Meshes
 from vitac.envs.fem.contact.forces import no_forces
-from vitac.envs.fem.model.mesh import RigidBody
+from vitac.envs.fem.model.mesh import PronyBranch, RigidBody
 from vitac.envs.fem.scene.scene import StepStatus
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings, Stopwatch
@@ -315,3 +315,12 @@ def test_counts_a_block_that_raises(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ZeroDivisionError), watch:
         raise ZeroDivisionError
     assert watch.elapsed_s == 3.0
+
+
+def test_viscosity_is_in_the_settings_text_that_is_hashed_only_where_there_is_any() -> None:
+    """The mesh hashes of results without viscosity stay as they were before it could be set."""
+    plain = repr(PhysicsSettings())
+    assert plain.startswith("PhysicsSettings(time_step_s=0.1, contact=ContactSettings(d_hat_m=0.0001, kappa=100.0, ")
+    assert plain.endswith(", gel_density_kg_m3=1000.0, gel_friction=87.5, rigid_density_kg_m3=500.0)")
+    branch = PronyBranch(modulus_ratio=0.5, relaxation_time_s=2.0)
+    assert repr(PhysicsSettings(viscosity=(branch,))) == f"{plain[:-1]}, viscosity=({branch!r},))"
