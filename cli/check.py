@@ -1,9 +1,10 @@
 """`vitac check`: finds what would be refused before an upload, in the same sandbox as the evaluation."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -143,6 +144,22 @@ def _check_task(
         )
     for record in evaluation.records:
         _add_result(record, findings)
+    if remote is not None:
+        _add_answers(task, evaluation.records, findings)
+
+
+def _add_answers(task: str, records: "Sequence[EpisodeRecord]", findings: Findings) -> None:
+    """Say how long the answers of a policy server took, and what range they had."""
+    answers_s = [answer_s for record in records for answer_s in record.timings.answers_s]
+    numbers = [float(number) for record in records for number in record.actions.to_array().flat]
+    if not answers_s or not numbers:
+        return
+    low, high = min(numbers), max(numbers)
+    clipped = "; what is beyond [-1, 1] is clipped" if max(-low, high) > 1 else ""
+    findings.passed.append(
+        f"{task}: answers took {1e3 * median(answers_s):.1f} ms in the median, {1e3 * max(answers_s):.1f} ms at most, "
+        f"with numbers from {low:.3g} to {high:.3g}{clipped}"
+    )
 
 
 def _add_result(record: "EpisodeRecord", findings: Findings) -> None:

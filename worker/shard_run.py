@@ -4,11 +4,13 @@ import errno
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Protocol
 
 from sqlalchemy.orm import Session
+from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.episodes.records import EpisodeRecord, Manifest
 from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.figures.figures import FigureChoice, FiguresPart
@@ -257,10 +259,16 @@ class ShardRun(LeasedRun[RunningShard]):
             secret=secret,
             shard=self._lease.number,
             episodes=self._lease.episodes,
-            limits=self._services.settings.limits,
+            limits=self._limits(rules),
             skip=tuple(sorted(stored.numbers)),
             earlier_failures=stored.failures,
         )
+
+    def _limits(self, rules: StageRules) -> Limits:
+        limits = self._services.settings.limits
+        if rules.answer_s is None or not self._lease.submission_kind.form.is_remote:
+            return limits
+        return replace(limits, action_wall_s=rules.answer_s)
 
     def _remote_address(self, path: Path) -> str | None:
         """Return the address of the policy server that plays; None where the submission's own code does.

@@ -149,6 +149,14 @@ class StageRules(StrictModel):
         description="Time from the start of an episode to that of the next [s], so that the instant at which one ends "
         "tells the next one nothing; null: as a worker is set.",
     )
+    answer_s: float | None = Field(
+        default=None,
+        strict=True,
+        gt=0,
+        le=10,
+        description="Time that a policy server has for each answer but the first on a line [s], too short for people; "
+        "null: as the service limits any action.",
+    )
     isolation: Literal[IsolationKind.NAMESPACES, IsolationKind.VM] | None = Field(
         default=None, description="What stands between policies and the machine; null: as a worker is set."
     )

@@ -95,24 +95,29 @@ class BlobStore:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         return cls(LocalStore(folder))
 
-    def put(self, path: Path, sha256: str, pieces: Sequence[Piece] = ()) -> None:
+    def put(self, path: Path, sha256: str) -> None:
         """Store a file under its digest; one that was stored recently is not written again.
 
         One that has been there for long is stored again, so that whoever removes old files takes it for a new one.
 
+        Raises:
+            ServiceError: the store cannot be written.
+        """
+        with _working(), path.open("rb") as file:
+            self._put(sha256, file)
+
+    def put_in_pieces(self, path: Path, sha256: str, pieces: Sequence[Piece]) -> None:
+        """Store a file under its digest, each of its large pieces once, whatever file that is of.
+
         Args:
             path: the file.
             sha256: its digest.
-            pieces: all of it in order, from `cut`; each is stored once, whatever file it is of.
+            pieces: all of it in order, from `cut`.
 
         Raises:
             ServiceError: the store cannot be written.
         """
         with _working():
-            if not pieces:
-                with path.open("rb") as file:
-                    self._put(sha256, file)
-                return
             for piece in pieces:
                 if piece.sha256:
                     self._put(piece.sha256, _read_piece(path, piece))

@@ -26,7 +26,10 @@ def store(session: Session, blobs: BlobStore, path: Path, digest: str, pieces: S
     """
     for each in sorted({digest, *(piece.sha256 for piece in pieces if piece.sha256)}):
         wait_for_turn(session, AdvisoryLock.STORED_FILE, each)
-    blobs.put(path, digest, pieces)
+    if pieces:
+        blobs.put_in_pieces(path, digest, pieces)
+    else:
+        blobs.put(path, digest)
 
 
 def require_stored(session: Session, blobs: BlobStore, digests: Iterable[str]) -> None:

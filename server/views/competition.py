@@ -70,6 +70,9 @@ class StageView(View):
     scored_runs: int | None = Field(description="Most scored evaluations of a team; null: any number.")
     attempts: int | None = Field(description="Most evaluations of a team, however they end; null: any number.")
     qualified: str | None = Field(description="Who advances to it, in words; null: it is for all teams.")
+    answer_s: float | None = Field(
+        default=None, description="Time that a policy server has for each answer [s]; null: as for any action."
+    )
     brief: str | None = Field(default=None, description="What teams hand in for a committee, in words; null: nothing.")
     entered: list[EnteredTaskView] = Field(default=[], description="Tasks whose points operators enter.")
 

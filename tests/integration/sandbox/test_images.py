@@ -32,6 +32,7 @@ from vitac.evaluator.isolation_kinds import IsolationKind
 from vitac.evaluator.submission.image import load_program, unpack_image
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
+EPISODES = os.environ.get("VITAC_IMAGE_EPISODES", "1:3")
 MANIFEST = (EXAMPLES / "image_in_python/submission.yaml").read_bytes()
 PLAY = (EXAMPLES / "image_in_python/play.py").read_bytes()
 
@@ -65,7 +66,7 @@ def saved(folder: Path, data: bytes) -> Path:
 
 def result_hash(submission: Path, report: Path) -> str:
     with pytest.raises(SystemExit) as caught:
-        main(["evaluate", str(submission), "--episodes", "1:3", "--workers", "1", "--json", str(report)])
+        main(["evaluate", str(submission), "--episodes", EPISODES, "--workers", "1", "--json", str(report)])
     assert caught.value.code in {None, 0}
     found: Mapping[str, str] = json.loads(report.read_text())
     return found["result_hash"]

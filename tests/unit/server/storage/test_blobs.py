@@ -56,7 +56,7 @@ def put_in_pieces(blobs: BlobStore, folder: Path, *parts: bytes) -> str:
     path.write_bytes(b"".join(parts))
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     ends = [*accumulate(map(len, parts))]
-    blobs.put(path, digest, cut(path, zip([0, *ends], map(len, parts), strict=False)))
+    blobs.put_in_pieces(path, digest, cut(path, zip([0, *ends], map(len, parts), strict=False)))
     return digest
 
 

@@ -12,12 +12,15 @@ from policy_servers import ACTION, Handler, openpi, packed, serving
 from service_client import Service, make_archive, problem_of, running_service
 from service_factories import TASK, TRACK, claim, play_all, shard_ids
 from vitac.cli.client.remote import connected
+from vitac.evaluator.shards.order import ShardOrder
 from vitac.server.database.engine import Database
 from vitac.server.database.models import Submission
 from vitac.server.operations.remote_gate import find_team
 from vitac.worker.shard_run import ShardRun
 from vitac.worker.staging import SubmissionStage
 from worker_fakes import FakeShards
+
+from competitions import make_competition, open_now, put_in_place
 
 HONEST = openpi(lambda _: packed({"actions": ACTION}))
 
@@ -73,8 +76,24 @@ def test_worker_asks_the_address_while_it_is_allowed(database: Database, tmp_pat
         assert _order(service, identity, 1, settings=forbidding) == []
 
 
+def test_stage_may_give_a_server_less_time_for_an_answer_than_people_need(database: Database, tmp_path: Path) -> None:
+    content = make_competition()
+    content["tracks"][TRACK]["stages"][0] |= {"accepts": ["remote"], "answer_s": 0.5}
+    with serving(HONEST) as address, running_service(database, tmp_path, remote_addresses=address) as service:
+        with service.database.transaction() as session:
+            put_in_place(session, open_now(content))
+        identity = service.upload(archive(address)).json()["id"]
+        (order,) = _orders(service, identity, 0)
+        assert order.limits.action_wall_s == 0.5
+        assert order.limits.start_wall_s == service.services.settings.limits.start_wall_s
+
+
 def _order(service: Service, identity: str, number: int, **changes: Any) -> list[str | None]:
     """The addresses that the process of a shard is given; none where it is not started."""
+    return [order.remote for order in _orders(service, identity, number, **changes)]
+
+
+def _orders(service: Service, identity: str, number: int, **changes: Any) -> list[ShardOrder]:
     services = replace(service.services, **changes)
     with service.database.transaction() as session:
         shard = shard_ids(session, session.get_one(Submission, identity))[number]
@@ -86,7 +105,7 @@ def _order(service: Service, identity: str, number: int, **changes: Any) -> list
         ShardRun(services, stage, claim(services.database, shard), shards).run()
     finally:
         stage.close()
-    return [started.order.remote for started in shards.started]
+    return [started.order for started in shards.started]
 
 
 def test_policy_that_dials_in_is_tried_at_the_upload_and_asked_through_the_gate(
