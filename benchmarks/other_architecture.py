@@ -145,6 +145,7 @@ class PolicyHere:
 
     isolation = None
     cpu_s = channel_s = 0.0
+    answers_s: tuple[float, ...] = ()
     output = ""
 
     def __init__(self, folder: Path) -> None:

@@ -57,6 +57,11 @@ def dockerfile(repository: Path) -> str:
     return (repository / "docker" / "Dockerfile").read_text()
 
 
+def test_images_are_of_any_architecture(dockerfile: str, services: dict[str, dict[str, Any]]) -> None:
+    assert not re.search(r"--platform|x86|amd64|arm64|aarch64", dockerfile)
+    assert not any("platform" in service for service in services.values())
+
+
 def test_uses_only_keys_of_the_compose_model(compose: dict[str, Any], services: dict[str, dict[str, Any]]) -> None:
     assert {key for key in compose if not key.startswith("x-")} == {"services", "volumes", "networks"}
     for name, service in services.items():
