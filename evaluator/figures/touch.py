@@ -59,6 +59,33 @@ def touch_figures(design: "SensorDesign", *, youngs_modulus_pa: float, poisson_r
     )
 
 
+def mesh_error(
+    design: "SensorDesign", finer: "SensorDesign", *, youngs_modulus_pa: float, poisson_ratio: float
+) -> float | None:
+    """Return how far the markers' motion under pins is from that on a finer mesh of the same gel (RMS, of its own).
+
+    None where no place senses. Pins press with 1 N along the base's normal at the places of the map.
+
+    Args:
+        design: of the sensor.
+        finer: the same sensor with more nodes.
+        youngs_modulus_pa: of the gel [Pa]; the answer is the same for all.
+        poisson_ratio: of the gel.
+    """
+    from vitac.envs.tactile.response import compute_response
+
+    own, reference = (
+        compute_response(each, youngs_modulus_pa=youngs_modulus_pa, poisson_ratio=poisson_ratio)
+        for each in (design, finer)
+    )
+    places = np.array([(x, y) for y in _line(_HALF_Y_MM) for x in _line(_HALF_X_MM)])
+    places = places[_senses(own, places) & _senses(reference, places)]
+    if not len(places):
+        return None
+    moved, expected = (response.motion_px_n(_pin(response, places))[:, 2] for response in (own, reference))
+    return rounded(float(np.sqrt(((moved - expected) ** 2).sum() / (expected**2).sum())))
+
+
 def _line(half_mm: float) -> list[float]:
     return [float(value) for value in np.arange(-half_mm, half_mm + 0.5 * _SPACING_MM, _SPACING_MM)]
 

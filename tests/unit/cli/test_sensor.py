@@ -95,6 +95,7 @@ def test_mesh_prints_digest_and_figures(run: Run, folder: Path) -> None:
     assert figures["worst_quality"] > 0.04
     assert figures["digest"] in run("check", folder)[1]
     assert figures["expected_cpu_s"] == 33
+    assert 0.1 < figures["mesh_error"] < 1.0
     assert f"digest          {figures['digest']}" in run("mesh", folder)[1]
 
 

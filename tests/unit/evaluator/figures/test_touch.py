@@ -7,8 +7,9 @@ import pytest
 from measured_figures import GRASP
 from vitac.envs.tactile.design import SensorDesign
 from vitac.evaluator.figures.figures import FiguresPart, SensorFigures, TouchFigures, merged
+from vitac.evaluator.figures.starts import refined_design
 from vitac.evaluator.figures.table import make_rows, reference_figures
-from vitac.evaluator.figures.touch import touch_figures
+from vitac.evaluator.figures.touch import mesh_error, touch_figures
 
 
 @cache
@@ -35,6 +36,15 @@ def test_map_of_a_flat_gel_is_whole_and_nearly_symmetric() -> None:
     assert np.nanmin(normal) > 0.0
     np.testing.assert_allclose(np.nanmean(normal[:, :6]), np.nanmean(normal[:, 7:]), rtol=0.05)
     np.testing.assert_allclose(np.nanmean(normal[:5]), np.nanmean(normal[6:]), rtol=0.05)
+
+
+def test_mesh_error_falls_with_the_mesh_and_is_nothing_against_itself() -> None:
+    own = own_sensors.designed("4 mm")
+    middle, fine = refined_design(own, 2.0), refined_design(own, 8.0)
+    material = {"youngs_modulus_pa": 3e5, "poisson_ratio": 0.3}
+    assert mesh_error(own, own, **material) == 0.0
+    coarse_error, middle_error = (known(mesh_error(mesh, fine, **material)) for mesh in (own, middle))
+    assert 0.1 < middle_error < 0.8 * coarse_error < 0.5
 
 
 def test_places_beside_the_sensing_faces_are_left_out() -> None:
