@@ -7,7 +7,7 @@ import re
 import shutil
 import socket
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
@@ -51,6 +51,90 @@ def remove_leftovers(scratch_dir: Path) -> None:
                     shutil.rmtree(folder, ignore_errors=True)
                 finally:
                     os.close(descriptor)
+
+
+_COMPLETE, _CONTENT = "complete", "content"
+"""What a shared folder holds: a file that says that all is there, and what it is for."""
+
+
+@contextmanager
+def shared_folder(parent: Path, name: str, fill: Callable[[Path], object]) -> Iterator[Path]:
+    """Return a folder that processes of this machine share: the first one fills it, the last one removes it.
+
+    What killed processes leave, the next one uses, or `remove_unused` removes.
+
+    Args:
+        parent: of the folders of this user.
+        name: of what is in it; under one name there is always the same.
+        fill: puts that into a new folder.
+
+    Raises:
+        PermissionError: the parent belongs to somebody else.
+    """
+    parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if parent.lstat().st_uid != os.geteuid():
+        raise PermissionError(errno.EPERM, "belongs to somebody else", str(parent))
+    descriptor = _share(parent / name, fill)
+    try:
+        yield parent / name / _CONTENT
+    finally:
+        _remove_if_unused(parent / name, descriptor)
+
+
+def remove_unused(parent: Path) -> None:
+    """Remove the shared folders that no process uses."""
+    for folder in parent.iterdir() if parent.is_dir() else ():
+        with suppress(OSError):  # it has just been removed
+            _remove_if_unused(folder, _opened(folder))
+
+
+def _share(folder: Path, fill: Callable[[Path], object]) -> int:
+    """Return the locked descriptor of a folder that is complete."""
+    while True:
+        folder.mkdir(mode=0o755, exist_ok=True)
+        try:
+            descriptor = _opened(folder)
+        except FileNotFoundError:
+            continue
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_SH)
+            if _is_there(folder, descriptor) and (folder / _COMPLETE).exists():
+                return descriptor
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+            if _is_there(folder, descriptor) and not (folder / _COMPLETE).exists():
+                _fill(folder, fill)
+        except BaseException:
+            os.close(descriptor)
+            raise
+        os.close(descriptor)  # a lock that becomes a weaker one is given up in between: look again
+
+
+def _fill(folder: Path, fill: Callable[[Path], object]) -> None:
+    """Fill a folder that nobody else uses; after an error nothing is left of it."""
+    try:
+        shutil.rmtree(folder / _CONTENT, ignore_errors=True)
+        (folder / _CONTENT).mkdir(mode=0o755)
+        fill(folder / _CONTENT)
+        (folder / _COMPLETE).touch()
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+
+
+def _is_there(folder: Path, descriptor: int) -> bool:
+    """Return whether a folder is still the one that was opened."""
+    with suppress(FileNotFoundError):
+        return os.path.samestat(folder.stat(), os.fstat(descriptor))
+    return False
+
+
+def _remove_if_unused(folder: Path, descriptor: int) -> None:
+    try:
+        with suppress(BlockingIOError):
+            _lock(descriptor)
+            shutil.rmtree(folder, ignore_errors=True)
+    finally:
+        os.close(descriptor)
 
 
 def _new_folder(scratch_dir: Path, prefix: str) -> tuple[Path, int]:

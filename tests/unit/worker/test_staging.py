@@ -74,8 +74,15 @@ def test_image_is_unpacked_into_memory_once_and_leaves_nothing_there(
             assert (folder / "root/submission.yaml").is_file()
         with stage.submission(SubmissionKind.IMAGE, digest) as again:
             assert again == folder
+        other = SubmissionStage(services.blobs, services.settings.scratch_dir, services.settings.limits)
+        with monkeypatch.context() as patch:  # another process of the machine has no need to fetch it
+            patch.delattr(services.blobs.__class__, "fetch")
+            with other.submission(SubmissionKind.IMAGE, digest) as shared:
+                assert shared == folder
         assert not any(path.name == "upload" for path in services.settings.scratch_dir.rglob("*"))
         stage.close()
+        assert (shared / "root/submission.yaml").is_file()  # the other process uses it
+        other.close()
         assert not [path for path in Path(memory).rglob("*") if path.is_file()]
 
 
