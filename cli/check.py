@@ -82,6 +82,8 @@ def check(submission: Path, remote: str | None = None, *, is_image: bool = False
             findings.digest = submission_digest(submission, kind=kind)
             findings.passed.append("the files follow the archive rules")
             manifest = load_manifest(folder)
+            if not kind.form.is_image:
+                manifest.require_no_needs()
             remote = find_policy_server(manifest, remote)
             findings.passed.append(f"submission.yaml is complete: {manifest.name}, {', '.join(manifest.tasks)}")
         except (ArchiveRejected, ManifestRejected) as error:

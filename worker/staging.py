@@ -24,14 +24,16 @@ WORKER_FOLDER = "worker"
 
 @dataclass(kw_only=True)
 class _Staged:
-    """One submission on disk; `path` is set once it is there, `users` counts running shards."""
+    """One submission on disk; `path` is set once it is there, `users` counts running shards.
+
+    `exits` gives up what it holds besides.
+    """
 
     folder: Path
     path: Path | None = None
     users: int = 0
     lock: threading.Lock = field(default_factory=threading.Lock)
     exits: ExitStack = field(default_factory=ExitStack)
-    """What else is given up with it."""
 
     def remove(self) -> None:
         """Remove it from the disk, and from memory where no other process uses it."""

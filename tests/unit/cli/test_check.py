@@ -118,6 +118,14 @@ def test_a_submission_with_an_unfinished_manifest_is_refused_and_not_played(tmp_
 
 
 @pytest.mark.usefixtures("played")
+def test_a_folder_that_needs_what_only_images_get_is_refused_and_not_played(tmp_path: Path) -> None:
+    manifest = "track: track_1\ntasks: [peg-insertion]\nname: fast\nneeds: gpu\n"
+    folder = submission_folder(tmp_path, {"policy.py": "", "submission.yaml": manifest})
+    (refusal,) = json.loads(check(folder, "--json").stdout)["refused"]
+    assert refusal.startswith("submission.yaml says `needs: gpu`, which only container images get")
+
+
+@pytest.mark.usefixtures("played")
 def test_a_folder_without_a_manifest_is_no_submission(tmp_path: Path) -> None:
     result = check(submission_folder(tmp_path, {"policy.py": ""}))
     assert isinstance(result.exception, VitacError)

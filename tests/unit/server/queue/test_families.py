@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from cubes_track import FILE
-from service_factories import make_principal, make_settings, make_upload, submit, submit_to
+from service_factories import TRACK, make_principal, make_settings, make_upload, submit, submit_to
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 from submission_steps import make_worker, view_of
@@ -17,11 +17,14 @@ from vitac.evaluator.version import evaluator_version
 from vitac.server.database.engine import Database
 from vitac.server.database.models import Submission, Work
 from vitac.server.database.states import WorkState
+from vitac.server.errors import ServiceError
 from vitac.server.principals import CONSOLE
 from vitac.server.queue.work import name_requirement
 from vitac.server.queue.workers import fleet
 from vitac.server.submissions import creation
 from vitac.server.tracks import find_family
+
+from competitions import make_competition, open_now, put_in_place
 
 TACTILE = name_requirement(evaluator_version())
 BOTH = ["tactile", "maniskill"]
@@ -129,6 +132,16 @@ def test_an_image_that_needs_a_gpu_waits_for_a_worker_that_declares_one(database
     make_worker(database, has_gpu=True)
     shown = view_of(database, CONSOLE, ours).workers
     assert (shown.alive, shown.lacks_gpu) == (1, False)
+
+
+def test_a_stage_with_kernels_of_their_own_refuses_an_image_that_needs_a_gpu(database: Database) -> None:
+    content = make_competition()
+    content["tracks"][TRACK]["stages"][0] |= {"accepts": ["image"], "isolation": "vm"}
+    with database.transaction() as session:
+        put_in_place(session, open_now(content))
+        upload = make_upload(kind=SubmissionKind.IMAGE, manifest={"needs": "gpu"})
+        with pytest.raises(ServiceError, match="plays with isolation vm, which has none"):
+            creation.create(session, make_principal(session, "Others"), upload)
 
 
 def test_workers_are_counted_by_family(database: Database) -> None:
