@@ -154,12 +154,13 @@ def run(
     )
     with open_services(settings, may_run_database=False) as services, player:
 
-        def become_agent(worker_id: UUID) -> None:
+        def become_agent(worker_id: UUID) -> str:
             """Take the station's key before the first byte to its devices: another agent may be playing on them."""
-            services.database.retrying(
+            station = services.database.retrying(
                 lambda session: enrol(session, settings, key, worker_id), give_up_after_s=_DATABASE_S
             )
             refuse_wrong_devices(description)
+            return station
 
         work(services, StationShards(player).running_shard, families=(Family.STATION,), enrol=become_agent)
 

@@ -17,7 +17,7 @@ from vitac.evaluator.package_sets import package_differences, shown_sets
 from vitac.evaluator.tracks import Track, list_tracks, load_track
 from vitac.evaluator.tracks.registry import current_versions, find_version
 from vitac.evaluator.version import evaluator_version
-from vitac.server.queue.work import name_requirement
+from vitac.server.queue.work import at_station, name_requirement
 from vitac.server.queue.workers import explain_other_tracks
 from vitac.server.tracks import find_family
 
@@ -40,12 +40,15 @@ def families_here() -> tuple[Family, ...]:
     return tuple(family for family in Family if able.get(family))
 
 
-def list_abilities(families: Collection[Family] | None = None, *, has_gpu: bool = False) -> list[str]:
+def list_abilities(
+    families: Collection[Family] | None = None, *, has_gpu: bool = False, station: str | None = None
+) -> list[str]:
     """Return the requirements that the worker meets.
 
     Args:
         families: in place of those that it can run.
         has_gpu: whether it plays images that need a GPU, too, which isolation vm has none of.
+        station: whose agent it is.
     """
     able = families_here() if families is None else families
     unfit = {name for track in tracks_with_other_packages(able) for name in _list_requirements(load_track(track))}
@@ -55,12 +58,13 @@ def list_abilities(families: Collection[Family] | None = None, *, has_gpu: bool 
     kinds = [(IsolationKind.NAMESPACES, False)]
     kinds += [(IsolationKind.NAMESPACES, True)] if has_gpu else []
     kinds += [(IsolationKind.VM, False)] if _has_kind(IsolationKind.VM) else []
-    return [
+    names = [
         name_requirement(version, family, sealed=sealed, isolation=kind, needs_gpu=needs_gpu)
         for version, family in fit
         for sealed in lists
         for kind, needs_gpu in kinds
     ]
+    return names if station is None else names + [at_station(name, station) for name in names]
 
 
 _has_kind = cache(has_kind)

@@ -119,7 +119,7 @@ def work(
     *,
     probe: ProbeIsolation = probe_isolation,
     families: Collection[Family] | None = None,
-    enrol: Callable[[UUID], object] = lambda _: None,
+    enrol: Callable[[UUID], str | None] = lambda _: None,
 ) -> None:
     """Run one worker on open services; must be called in the main thread.
 
@@ -129,7 +129,8 @@ def work(
         stay: when it ends by itself.
         probe: finds out whether policies are isolated here.
         families: that it takes shards of; by default those that this machine can run.
-        enrol: called with the worker's id before it takes its first shard; it raises where the worker may not.
+        enrol: called with the worker's id before it takes its first shard; it raises where the worker may not, and
+            returns the name of the station whose agent it is.
 
     Raises:
         WorkerRefused: the stay is limited, and this machine may take no shards.
@@ -160,7 +161,7 @@ def _take_shards(
     stopping: threading.Event,
     stay: Stay,
     families: Collection[Family] | None,
-    enrol: Callable[[UUID], object],
+    enrol: Callable[[UUID], str | None],
 ) -> None:
     """Take and run shards until a request to stop, the stay's end, or until the service declares another evaluator."""
     leaving = threading.Event()
@@ -180,13 +181,15 @@ def _take_shards(
         )
         heartbeat.start()
         stack.callback(heartbeat.stop)
-        enrol(heartbeat.worker_id)
+        station = enrol(heartbeat.worker_id)
         stage = SubmissionStage(services.blobs, services.settings.scratch_dir, services.settings.limits)
         stack.callback(stage.close)
         housekeeping = Housekeeping(services, supersedes=False)
         housekeeping.start()
         stack.callback(housekeeping.stop)
-        worker = QueueWorker(services, stage, heartbeat.worker_id, start, order=order, families=families)
+        worker = QueueWorker(
+            services, stage, heartbeat.worker_id, start, order=order, families=families, station=station
+        )
         # A thread, not the signal's handler: that may interrupt whoever holds the locks which `stop` needs.
         threading.Thread(target=_stop_on_event, args=((stopping, leaving), worker), name="stop", daemon=True).start()
         logger.info("worker_started", worker=str(heartbeat.worker_id), slots=services.settings.worker_slots)

@@ -60,6 +60,7 @@ class QueueWorker:
         start_playback: StartPlayback = making,
         order: Callable[[], WorkerOrder] = lambda: WorkerOrder.WORK,
         families: Collection[Family] | None = None,
+        station: str | None = None,
     ) -> None:
         self._services = services
         self._stage = stage
@@ -67,6 +68,7 @@ class QueueWorker:
         self._start = start
         self._start_playback = start_playback
         self._families = families
+        self._station = station
         self._slots = services.settings.worker_slots
         self._free_slots = threading.Semaphore(self._slots)
         # As much as runs may be played already while its results are stored.
@@ -133,7 +135,7 @@ class QueueWorker:
 
     def _claim(self) -> Claim | None:
         database, settings = self._services.database, self._services.settings
-        abilities = list_abilities(self._families, has_gpu=settings.worker_gpu)
+        abilities = list_abilities(self._families, has_gpu=settings.worker_gpu, station=self._station)
         instruments = self._services.instruments
         if time.monotonic() - self._looked_at > LOOK_S:
             with database.transaction() as session:

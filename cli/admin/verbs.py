@@ -110,6 +110,17 @@ NOUNS: Mapping[str, AdminNoun] = {
                 done="the final list is played",
             ),
             Verb(
+                "begin-trials",
+                f"POST {STAGE}/trials",
+                asks="Let the stations play the trials of {stage} of {track} by its plan?",
+            ),
+            Verb(
+                "trials",
+                f"GET {STAGE}/trials",
+                columns=("position", "station", "submission_id", "task", "episode", "state"),
+                none="No trial is planned.",
+            ),
+            Verb(
                 "reveal",
                 f"POST {STAGE}/reveal",
                 asks="Publish the episodes of stage {stage} of {track}? This cannot be undone.",

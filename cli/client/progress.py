@@ -107,6 +107,8 @@ def _format_tasks(tasks: list[Json]) -> str:
 
 def nobody(found: Json) -> str:
     """Return why no worker takes the evaluation now, in a few words; empty where one does or it has ended."""
+    if found.get("waits"):
+        return str(found["waits"])
     if found["workers"]["alive"] > 0 or found["evaluation"]["state"] not in {"queued", "running"}:
         return ""
     workers = found["workers"]

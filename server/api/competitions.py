@@ -23,13 +23,13 @@ from ..competitions.definition import CompetitionDefinition, require_known_track
 from ..competitions.view import competition_list_view, competition_view, disqualified_since_the_end
 from ..confirmations import Concern, compute_revision, require_shown
 from ..database.clock import read_clock
-from ..decisions import advancement, final_list, finishing
+from ..decisions import advancement, final_list, finishing, trial_plan
 from ..decisions.exporting import export_receipts
 from ..decisions.publishing import archive_view, result_files
 from ..errors import ProblemCode, ServiceError
 from ..submissions import stage_files
-from ..views.competition import AdvancementView, ArchiveView, CompetitionListView, CompetitionView
-from .access import ChangingServicesOf, CompetitionOrganizerOf, OrganizerOf, ServicesOf
+from ..views.competition import AdvancementView, ArchiveView, CompetitionListView, CompetitionView, PlannedTrialView
+from .access import ChangingServicesOf, CompetitionOrganizerOf, OrganizerOf, ServicesOf, VisitorOf
 from .inputs import Input
 from .problems import RESPONSES
 
@@ -85,6 +85,12 @@ class FinalListStart(BaseModel):
     """The submissions that play a final list from now on."""
 
     submissions: Sequence[UUID]
+
+
+class TrialsBegun(BaseModel):
+    """How many trials stations play from now on."""
+
+    trials: int
 
 
 class SealedListRow(BaseModel):
@@ -349,6 +355,26 @@ def play_final_list(
     with services.database.transaction() as session:
         over = Competition.find(session, competition, track=track).stage(track, stage)
         return FinalListStart(submissions=final_list.play(session, principal, over))
+
+
+@router.post("/competitions/{competition}/tracks/{track}/stages/{stage}/trials")
+def begin_trials(
+    services: ChangingServicesOf, principal: CompetitionOrganizerOf, competition: str, track: str, stage: str
+) -> TrialsBegun:
+    """Plan the trials of a stage that stations play, now that it has closed, and let them begin."""
+    with services.database.transaction() as session:
+        over = Competition.find(session, competition, track=track).stage(track, stage)
+        return TrialsBegun(trials=trial_plan.begin(session, principal, over))
+
+
+@router.get("/competitions/{competition}/tracks/{track}/stages/{stage}/trials")
+def list_trials(
+    services: ServicesOf, principal: VisitorOf, competition: str, track: str, stage: str
+) -> list[PlannedTrialView]:
+    """List the planned trials of a stage in their order: a team's own; all for organizers, and once it is revealed."""
+    with services.database.reading() as session:
+        planned = Competition.find(session, competition, track=track).stage(track, stage)
+        return trial_plan.list_trials(session, principal, planned)
 
 
 @router.get(

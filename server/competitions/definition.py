@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
+from vitac.envs.tasks.definition import Family
 from vitac.evaluator.isolation_kinds import IsolationKind
 from vitac.evaluator.strict_model import DocumentRejected, StrictModel, Word, read_yaml
 from vitac.evaluator.submission_kinds import SubmissionKind
@@ -105,6 +106,20 @@ class EnteredTask(StrictModel):
     points: Count = Field(description="Most points of an attempt.")
 
 
+class TrialPlan(StrictModel):
+    """How the trials of a stage on stations are ordered: in blocks, in each of which everybody plays the same start."""
+
+    stations: tuple[str, ...] = Field(min_length=1, description="Names, as `admin station add` has them.")
+    control: str | None = Field(
+        default=None, description="Team whose only submission opens every block, to see what changes at a station."
+    )
+
+    @model_validator(mode="after")
+    def _names_each_station_once(self) -> Self:
+        _refuse_twice(list(self.stations), "station")
+        return self
+
+
 class StageRules(StrictModel):
     """What the file says of a stage: when it is open, for what and for whom."""
 
@@ -160,6 +175,10 @@ class StageRules(StrictModel):
     isolation: Literal[IsolationKind.NAMESPACES, IsolationKind.VM] | None = Field(
         default=None, description="What stands between policies and the machine; null: as a worker is set."
     )
+    plan: TrialPlan | None = Field(
+        default=None,
+        description="Of a stage on stations: its trials wait until it has closed, and are then played by a plan.",
+    )
 
     @model_validator(mode="after")
     def _is_possible(self) -> Self:
@@ -175,6 +194,11 @@ class StageRules(StrictModel):
         _refuse_twice([task.name for task in self.entered], "task")
         if self.brief is not None and self.entered:
             raise ValueError("a stage has a brief or entered results, expected not both; make two stages of it")
+        if self.plan is not None and (self.list, self.sealed) != (ListKind.SEALED, Sealing.AT_ONCE):
+            raise ValueError(
+                "plan: expected list: sealed and sealed: at_once, as starts and order come from the list's secret, got "
+                f"list: {self.list} and sealed: {self.sealed or 'null'}"
+            )
         if self.name.endswith(FINAL_SUFFIX):
             raise ValueError(
                 f"expected a name that does not end in {FINAL_SUFFIX}, which stands for the final list of a stage, got "
@@ -454,6 +478,9 @@ def _stage_problems(known: Track, track: TrackRules) -> Iterator[str]:
         for kind in stage.accepts:
             if kind not in known.accepts:
                 yield f"{place}.accepts: the track takes {', '.join(known.accepts)}, got {kind}."
+        simulated = [name for name, task in known.tasks.items() if task.family is not Family.STATION]
+        if stage.plan is not None and simulated:
+            yield f"{place}.plan: expected a track that stations play (vitac station track), got {simulated[0]}."
 
 
 def _refuse_twice(names: list[str], what: str) -> None:

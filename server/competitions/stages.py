@@ -136,8 +136,11 @@ class Stage:
 
     @property
     def plays_fresh_lists(self) -> bool:
-        """Whether each evaluation plays a list of its own, too, as the one that decides is played at once."""
-        return self.live is None and self.decides and self.sealing is Sealing.AT_ONCE
+        """Whether each evaluation plays a list of its own, too, as the one that decides is played at once.
+
+        Not on stations, which play once what is planned.
+        """
+        return self.live is None and self.decides and self.sealing is Sealing.AT_ONCE and self.rules.plan is None
 
     @property
     def quotas(self) -> StageQuotas:

@@ -8,6 +8,7 @@ from typing import Any, Self
 from sqlalchemy import bindparam, func, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
+from vitac.envs.tasks.definition import Family
 from vitac.evaluator.episodes.records import EpisodeRecord, PolicyFailure, digest_of_stored
 from vitac.evaluator.tracks import ListKind
 
@@ -89,12 +90,14 @@ class EpisodeKey:
 def played_keys(evaluation: Evaluation, submission: Submission) -> tuple[EpisodeKey, ...]:
     """Return the keys of the episodes on each list that an evaluation plays; first that of its result.
 
-    Beside the sealed list of a stage, the public one is played for comparison, but not beside its final list. Beside
-    one that decides at once, a fresh list is, too.
+    Beside the sealed list of a stage, the public one is played for comparison, but not beside its final list, nor on
+    stations. Beside one that decides at once, a fresh list is, too.
     """
     key = EpisodeKey.from_evaluation(evaluation, submission)
     track = known_track(submission.track)
-    is_public = track is not None and all(task.episode_list.kind is ListKind.PUBLIC for task in track.tasks.values())
+    is_public = track is not None and all(
+        task.episode_list.kind is ListKind.PUBLIC and task.family is not Family.STATION for task in track.tasks.values()
+    )
     plays_both = key.commitment and is_public and submission.final_of is None
     practice = (key.select_public_list(),) if plays_both else ()
     fresh = (replace(key, commitment=evaluation.fresh_commitment),) if evaluation.fresh_commitment else ()

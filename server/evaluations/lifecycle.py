@@ -26,7 +26,7 @@ from ..database.locks import lock_evaluation
 from ..database.models import Evaluation, SensorCheck, Shard, Submission, SubmissionFile, Trial, Work
 from ..database.states import OPEN_WORK_STATES, EvaluationState, FileRole, NoticeKind, WorkKind, WorkState
 from ..queue.leases import Lease, end_shard
-from ..queue.work import Claim, end, lock_held, name_requirement, next_turn, waiting
+from ..queue.work import UNPLANNED, Claim, end, lock_held, name_requirement, next_turn, waiting
 from ..receipts.issuing import issue_for_result
 from ..traces import current_traceparent
 from ..tracks import find_family
@@ -121,7 +121,7 @@ def _add_shards(session: Session, evaluation: Evaluation) -> bool:
     queued = set(session.scalars(select(Shard.commitment).where(Shard.evaluation_id == evaluation.id)))
     keys = [key for key in reversed(played_keys(evaluation, submission)) if key.commitment not in queued]
     track, owner = load_track(submission.track), f"team:{submission.team_id}"
-    isolation = find_stage(session, submission).rules.isolation
+    rules = find_stage(session, submission).rules
     for key, task in product(keys[:1], submission.tasks):
         family = find_family(submission.track, task)
         kind = WorkKind.TRIAL if family is Family.STATION else WorkKind.SHARD
@@ -130,9 +130,10 @@ def _add_shards(session: Session, evaluation: Evaluation) -> bool:
             evaluation.evaluator_version,
             family,
             sealed=is_sealed,
-            isolation=isolation,
+            isolation=rules.isolation,
             needs_gpu=submission.needs_gpu,
         )
+        requires += UNPLANNED if rules.plan else ""
         columns = waiting(session, kind, owner=owner, requires=requires, turn=evaluation.turn)
         for piece in cut(track.task(task)):
             shard = Trial if kind is WorkKind.TRIAL else Shard

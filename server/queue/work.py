@@ -35,6 +35,9 @@ logger = structlog.get_logger(__name__)
 CHANNEL = "vitac_work"
 """On which the database tells workers that something waits."""
 
+UNPLANNED = " unplanned"
+"""At the end of what a trial requires that waits for its plan: no worker has it."""
+
 SHARED_OVER_S = 300.0
 """Time over which shares are measured [s]."""
 
@@ -142,6 +145,11 @@ def name_requirement(
     """
     own_kernel = f" {isolation}" if isolation is IsolationKind.VM else ""
     return f"{evaluator_version} {family}{own_kernel}{' gpu' if needs_gpu else ''}{' sealed' if sealed else ''}"
+
+
+def at_station(requirement: str, station: str) -> str:
+    """Return the requirement of a trial for which its plan names a station."""
+    return f"{requirement.removesuffix(UNPLANNED)} at {station}"
 
 
 def waiting(session: Session, kind: WorkKind, *, owner: str, requires: str, turn: int | None = None) -> dict[str, Any]:

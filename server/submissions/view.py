@@ -22,6 +22,7 @@ from ..leaderboards.best_entries import Board, PlacesOfBoards, places
 from ..leaderboards.descriptions import show_description
 from ..leaderboards.standings import explain_unranked_submission
 from ..principals import Principal
+from ..queue.work import UNPLANNED
 from ..queue.workers import Fleet, fleet
 from ..settings import Settings
 from ..tracks import find_family
@@ -133,6 +134,7 @@ def _view(runs: Sequence[Evaluation], shown: _Shown) -> SubmissionView:
             newest.evaluator_version, submission.track, tuple(submission.tasks), submission.needs_gpu
         ),
         unranked=_explain_unranked(newest, shown),
+        waits=_explain_wait(newest, shown),
         rank=ranks.get(None),
         task_ranks={task: place for task, place in ranks.items() if task is not None},
         log=log,
@@ -153,6 +155,18 @@ def _explain_unranked(newest: Evaluation, shown: _Shown) -> str | None:
         return None
     counted = shown.find_stage(submission).counted_results()
     return explain_unranked_submission(newest.evaluator_version, counted, submission.track)
+
+
+def _explain_wait(newest: Evaluation, shown: _Shown) -> str | None:
+    if newest.state is not EvaluationState.QUEUED:
+        return None
+    rules = shown.find_stage(newest.submission).rules
+    if rules.plan is None or not any(shard.requires.endswith(UNPLANNED) for shard in newest.shards):
+        return None
+    return (
+        f"Its trials wait for the stage's plan, which organizers begin after its close at {rules.closes:%F %T} UTC. "
+        "Stations then play all teams' trials by turns."
+    )
 
 
 def _workers(known: Fleet, evaluator_version: str, track: str, tasks: tuple[str, ...], needs_gpu: bool) -> WorkersView:

@@ -2,11 +2,13 @@
 
 from datetime import datetime
 from enum import StrEnum
+from uuid import UUID
 
 from pydantic import Field
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind
 
+from ..database.states import WorkState
 from .base import View
 from .by_hand import EnteredTaskView
 from .leaderboards import LeaderboardView
@@ -23,6 +25,17 @@ class CompetitionState(StrEnum):
     """All stages have closed, and the results are not final."""
     FINAL = "final"
     """Winners and boards are stored and do not change."""
+
+
+class PlannedTrialView(View):
+    """A trial of a stage that stations play by a plan."""
+
+    position: int = Field(description="In the plan, from 1.")
+    station: str
+    submission_id: UUID
+    task: str
+    episode: int
+    state: WorkState
 
 
 class CompetitionSummaryView(View):

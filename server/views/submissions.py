@@ -100,6 +100,7 @@ class SubmissionView(View):
     unranked: str | None = Field(
         description="Why a scored submission has no rank, as a copy or since the evaluator changed; else null."
     )
+    waits: str | None = Field(default=None, description="Why none of its episodes begins, although workers run.")
     rank: RankView | None = Field(description="On the leaderboard of all tasks together.")
     task_ranks: dict[str, RankView] = Field(description="On the leaderboards of single tasks.")
     log: LogView | None = Field(description="Null for a model.")

@@ -26,8 +26,8 @@ from vitac.server.accounts.tokens import list_tokens
 from vitac.server.audit import newest_entries
 from vitac.server.competitions.applying import freeze_boards
 from vitac.server.competitions.sealing import seal
-from vitac.server.database.models import Evaluation, Notice, Team, Worker
-from vitac.server.database.states import NoticeKind, Role, WorkerState
+from vitac.server.database.models import Evaluation, Notice, Team, Work, Worker
+from vitac.server.database.states import NoticeKind, Role, WorkerState, WorkKind
 from vitac.server.decisions.finishing import finalize
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import appeal_replays, appeals
@@ -55,6 +55,7 @@ READS = {
     "competition check",
     "competition lists",
     "competition show",
+    "competition trials",
     "evaluation list",
     "evaluation show",
     "evaluation unserved",
@@ -88,6 +89,7 @@ READS = {
 CHANGES = {
     "backup": (["FILE"], "service.backup"),
     "competition apply": (["COMPETITION", "--yes", "--confirm", PUBLIC_RANKING], "competition.apply"),
+    "competition begin-trials": (["track_1", "stage1", "--yes"], "stage.plan_trials"),
     "competition play-final": (["track_1", "stage1", "--yes"], "stage.play_final"),
     "competition reveal": (["track_1", "stage1", "--yes"], "list.reveal"),
     "advance confirm": (["track_1", "stage2", "--yes"], "stage.qualify"),
@@ -271,6 +273,16 @@ def prepare(service: CliService, command: str) -> None:
         elif command == "competition reveal":
             put_in_place(session, open_now(sealed_competition(), stage=1))
             seal(session, CONSOLE, stored_stage(session, "track_1", "stage1"))
+        elif command == "competition begin-trials":
+            content = open_now(sealed_competition())
+            content["tracks"]["track_1"]["stages"][0] |= {"sealed": "at_once", "plan": {"stations": ["lab"]}}
+            put_in_place(session, content)
+            seal(session, CONSOLE, stored_stage(session, "track_1", "stage1"))
+            add_station(session, CONSOLE, "lab")
+            own = teams.find(session, "Team A")
+            submit(session, Principal(role=Role.TEAM, team_id=own.id, team_name=own.name))
+            session.execute(update(Work).values(kind=WorkKind.TRIAL))
+            put_in_place(session, moved(content, days=-300))
         elif command == "competition play-final":
             content = open_now(sealed_competition(), stage=1)
             content["tracks"]["track_1"]["stages"][0]["sealed"] = "live_and_final"

@@ -20,6 +20,7 @@ ONLY_READ = frozenset(
         "propose",
         "rubric",
         "show",
+        "trials",
         "unserved",
         "winners",
         "witnesses",
