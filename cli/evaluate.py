@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .terminal.output import Episodes, Workers, note_ignored_folders
+from .terminal.output import ASSETS_VARIABLE, Episodes, Workers, note_ignored_folders
 from .terminal.own_policy import fall_back_where_nothing_isolates
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def command(
     workers: Workers = None,
     team: Annotated[str | None, typer.Option(help="Team named in the log.")] = None,
     assets: Annotated[
-        Path | None, typer.Option(help="Folder with the challenge's own meshes [env: VITAC_ASSETS_DIR]; unranked.")
+        Path | None, typer.Option(envvar=ASSETS_VARIABLE, help="Folder with the challenge's own meshes; unranked.")
     ] = None,
     secret: Annotated[
         Path | None, typer.Option(help="Play the sealed list of this secret (vitac seeds) instead of the public one.")
@@ -183,7 +183,6 @@ class _Request:
 
     def evaluate(self, folder: Path, manifest: "SubmissionManifest", host: "HostProcess | None") -> "LocalEvaluation":
         """Evaluate an unpacked submission in processes that a host forks, with a progress bar."""
-        from vitac.envs.assets import assets_dir_from_environment
         from vitac.evaluator.evaluation.local import evaluate
 
         from .terminal.compiling import compiling_shown
@@ -197,7 +196,7 @@ class _Request:
                 task=definition,
                 episodes=self.episodes,
                 workers=self.workers or self._default_workers(),
-                assets_dir=self.assets or assets_dir_from_environment(),
+                assets_dir=self.assets,
                 secret=self.secret,
                 sensor=folder if self.sensor is None and track.has_sensor else self.sensor,
                 kind=self.kind,

@@ -36,7 +36,6 @@ def command(
     For each env step print our value | the recorded value [mm]: motion of the gel surfaces (left, right), and the
     heights that decide success (the peg's bottom vertices, the key's teeth).
     """
-    from vitac.envs.assets import assets_dir_from_environment
     from vitac.evaluator.episodes.episode import make_environment
     from vitac.evaluator.logs.resimulation import read_recordings, report, resimulate_all
     from vitac.evaluator.tracks import find_task
@@ -50,7 +49,7 @@ def command(
         settings = definition.settings | {"contact_model": contact_model}
         definition = definition.model_copy(update={"settings": settings})
     recordings = read_recordings(file, definition, on_problems=partial(_tell_problems, file))
-    env = make_environment(definition, assets or assets_dir_from_environment(), ())
+    env = make_environment(definition, assets, ())
     episodes = []
     with compiling_shown():
         for recording, played in resimulate_all(env, definition, recordings):

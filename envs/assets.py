@@ -5,7 +5,6 @@ lists, and the rigid parts where each task's `meshes` says.
 """
 
 import hashlib
-import os
 from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
@@ -19,22 +18,11 @@ from .tactile.gel_files import read_gel
 from .tactile.markers import MarkerSettings
 from .tactile.sensor import CoarseSensor, DesignedSensor, TactileSensor
 
-ENVIRONMENT_VARIABLE = "VITAC_ASSETS_DIR"
 _GEL_FOLDER = "gelsight_mini_e430"
 
 
 class AssetsMissing(VitacError):
     """The folder with the challenge's own meshes was asked for but is not there; the message names it."""
-
-
-def assets_dir_from_environment() -> Path | None:
-    """Return the folder in VITAC_ASSETS_DIR, or None where it is unset or empty.
-
-    Entry points (the command line) call this and pass the folder down; an environment never reads the variable by
-    itself, so a variable left set cannot change a ranked evaluation.
-    """
-    value = os.environ.get(ENVIRONMENT_VARIABLE)
-    return Path(value) if value else None
 
 
 class Meshes:

@@ -161,11 +161,10 @@ def _pace(every: str | None, destination: "Destination") -> "Pace":
 def _record(played: ShownEpisode, assets: Path | None, pace: "Pace") -> "Playback":
     """Play the episode and keep what is drawn of it."""
     import gymnasium
-    from vitac.envs.assets import assets_dir_from_environment
     from vitac.envs.drawing.playback import record
 
     start = played.start
-    arguments: dict[str, Any] = {"assets_dir": assets or assets_dir_from_environment(), **start.settings}
+    arguments: dict[str, Any] = {"assets_dir": assets, **start.settings}
     made = gymnasium.make(start.env_id, disable_env_checker=True, **arguments)
     env = cast("TactileTaskEnv[Any, Any]", made.unwrapped)
     return record(env, options=start.options, next_action=played.next_action, pace=pace, belief=played.belief)

@@ -177,7 +177,9 @@ Processes = Annotated[int, typer.Option(min=1, help="Processes that play episode
 Ray = Annotated[
     str | None, typer.Option(metavar="ADDRESS", help="Ray cluster that plays instead, such as 10.0.0.1:6379 or auto.")
 ]
-Assets = Annotated[Path | None, typer.Option(help="Folder with the challenge's own meshes [env: VITAC_ASSETS_DIR].")]
+ASSETS_VARIABLE = "VITAC_ASSETS_DIR"
+"""Only commands read it: one that is left set cannot change a ranked evaluation."""
+Assets = Annotated[Path | None, typer.Option(envvar=ASSETS_VARIABLE, help="Folder with the challenge's own meshes.")]
 
 
 def print_meanings(outcomes: Iterable[str]) -> None:

@@ -1,5 +1,7 @@
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -201,3 +203,16 @@ def test_policy_server_needs_its_address_and_what_it_speaks(
     code, _, err = run(capsys, submission, *arguments)
     assert code != 0
     assert words in " ".join(re.sub(r"[│╭╰─╮╯]", " ", err).split())
+
+
+def test_the_command_loads_no_compiler_beside_the_processes_that_play(repository: Path) -> None:
+    """Numba takes half a second of CPU time, in which the first episodes could be played."""
+    heuristic = repository / "examples" / "peg_insertion_heuristic"
+    code = (
+        "import atexit, sys\n"
+        "atexit.register(lambda: print('numba' in sys.modules))\n"
+        "from vitac.cli.main import main\n"
+        f"main(['evaluate', {str(heuristic)!r}, '--task', 'peg-insertion', '--episodes', '1'])\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert ended.stdout.splitlines()[-1] == "False", ended.stderr

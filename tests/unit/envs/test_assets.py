@@ -2,7 +2,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from vitac.envs.assets import AssetsMissing, Meshes, assets_dir_from_environment, mesh_hash
+from vitac.envs.assets import AssetsMissing, Meshes, mesh_hash
 from vitac.envs.geometry.keys_and_locks import KeyShape
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.geometry.stl import StlError
@@ -45,15 +45,6 @@ def test_missing_files_are_named(tmp_path: Path) -> None:
         peg_mesh(meshes, PegShape.CUBOID)
     with pytest.raises(StlError, match=r"lock_core_sim4\.STL"):
         lock_mesh(meshes, KeyShape.KEY4)
-
-
-def test_folder_comes_from_the_environment_variable(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("VITAC_ASSETS_DIR", raising=False)
-    assert assets_dir_from_environment() is None
-    monkeypatch.setenv("VITAC_ASSETS_DIR", "")
-    assert assets_dir_from_environment() is None
-    monkeypatch.setenv("VITAC_ASSETS_DIR", "some/folder")
-    assert assets_dir_from_environment() == Path("some/folder")
 
 
 def test_mesh_hash_tells_meshes_and_settings_apart() -> None:
