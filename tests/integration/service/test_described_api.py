@@ -108,7 +108,7 @@ def _disturb(case: AnyCase, submission: str, has_awkward_query: bool, awkward: l
     return case
 
 
-@schemathesis.serializer("application/offset+octet-stream")
+@schemathesis.serializer("application/offset+octet-stream", "application/pdf")
 def send_as_it_is(context: object, value: Any) -> bytes:
     return value if isinstance(value, bytes) else str(value).encode("utf-8", "surrogatepass")
 
