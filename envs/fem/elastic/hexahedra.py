@@ -25,7 +25,21 @@ from numpy.typing import NDArray
 
 from ...compilation import kernel, large_kernel
 from ...deterministic_math import natural_log
-from ..algebra import Mat3, Vec3, add_to_row, apply_rows, cross, dot, load, set_row, write_sum_of_seven
+from ..algebra import (
+    Mat3,
+    Vec3,
+    add_matrices,
+    add_to_row,
+    apply_rows,
+    cross,
+    dot,
+    identity_and_outers,
+    load,
+    outer,
+    scale,
+    set_row,
+    write_sum_of_seven,
+)
 from ..linear.system import GEL_STRIDE, add_block
 from ..model.model import HEXAHEDRON_NODES as NODES
 from ..model.model import MODES, NO_MATRIX, PROJECTED_MATRIX, Hexahedra, NewtonSystem, get_mode, weight_place
@@ -46,7 +60,7 @@ class HexahedronScratch(NamedTuple):
     stress: FloatArray  # [4, 3] sum M Q [J/m]
     inverse: FloatArray  # [3, 3] F^-T e_k in rows
     force: FloatArray  # [7, 3] dE by its modes
-    jacobian: FloatArray  # [7, 7, 3, 3] derivative of that by the modes
+    jacobian: FloatArray  # [7, 7, 3, 3] derivative of that by the modes; zero between mode 6 and the other hourglasses
     rows: FloatArray  # of the modes by the nodes: component (i, k) of mode s by node b at 8 (9 s + 3 i + k) + b
     viscous: FloatArray  # [3, 3] stress of its viscous branches times the volume [J]
     held_pa: FloatArray  # [c, 6] `viscosity.held_stress_pa` of all hexahedra in this step; empty without viscosity
@@ -54,14 +68,14 @@ class HexahedronScratch(NamedTuple):
 
 
 def new_hexahedron_scratch(viscous: int = 0) -> HexahedronScratch:
-    """Return uninitialised scratch, for this number of hexahedra with viscosity."""
+    """Return scratch, for this number of hexahedra with viscosity."""
     return HexahedronScratch(
         modes=np.empty((MODES, 3)),
         strain=np.empty((HOURGLASS_VECTORS, 3)),
         stress=np.empty((HOURGLASS_VECTORS, 3)),
         inverse=np.empty((COLUMNS, 3)),
         force=np.empty((MODES, 3)),
-        jacobian=np.empty((MODES, MODES, 3, 3)),
+        jacobian=np.zeros((MODES, MODES, 3, 3)),
         rows=np.empty(NODES * MODES * 9),
         viscous=np.empty((COLUMNS, 3)),
         held_pa=np.zeros((viscous, 6)),
@@ -205,6 +219,31 @@ def _add_outer(block: FloatArray, factor: float, a: Vec3, b: Vec3) -> None:
 
 
 @kernel
+def _plus_outer(block: Mat3, factor: float, a: Vec3, b: Vec3) -> Mat3:
+    """Return the rows of a block plus the factor times a b^T."""
+    return add_matrices(block, outer(scale(factor, a), b))
+
+
+@kernel
+def _plus_diagonal(block: Mat3, s: float) -> Mat3:
+    """Return the rows of a block plus s I."""
+    return (
+        (block[0][0] + s, block[0][1], block[0][2]),
+        (block[1][0], block[1][1] + s, block[1][2]),
+        (block[2][0], block[2][1], block[2][2] + s),
+    )
+
+
+@kernel
+def _set_both(jacobian: FloatArray, s: int, t: int, block: Mat3) -> None:
+    """Set the block (s, t), given by its rows, and its mirror image."""
+    for i in range(3):
+        for k in range(3):
+            jacobian[s, t, i, k] = block[i][k]
+            jacobian[t, s, k, i] = block[i][k]
+
+
+@kernel
 def _write_jacobian(hexahedra: Hexahedra, h: int, pressure: float, scratch: HexahedronScratch, matrix: int) -> None:
     """Write the derivative of the forces on the modes by the modes, or its positive semi-definite replacement.
 
@@ -213,49 +252,44 @@ def _write_jacobian(hexahedra: Hexahedra, h: int, pressure: float, scratch: Hexa
     jacobian, modes, inverse, stress = scratch.jacobian, scratch.modes, scratch.inverse, scratch.stress
     numbers, volume = hexahedra.stabilisation_n_m[h], hexahedra.volume_m3[h]
     mu, lam = hexahedra.mu_pa[h], hexahedra.lambda_pa[h]
-    jacobian[:] = 0.0
     c = (load(modes, 0), load(modes, 1), load(modes, 2))
     q = (load(modes, 3), load(modes, 4), load(modes, 5), load(modes, 6))
     g = (load(inverse, 0), load(inverse, 1), load(inverse, 2))
-    kept = -0.5 * pressure if matrix == PROJECTED_MATRIX else -pressure
+    is_exact = matrix != PROJECTED_MATRIX
+    kept = -pressure if is_exact else -0.5 * pressure
     for k in range(COLUMNS):
-        for j in range(COLUMNS):
-            block = jacobian[k, j]
-            _add_outer(block, volume * lam, g[k], g[j])
-            _add_outer(block, volume * kept, g[j], g[k])
-        for i in range(3):
-            jacobian[k, k, i, i] += volume * mu
-        if matrix == PROJECTED_MATRIX:
+        block = identity_and_outers(volume * mu, volume * lam, g[k], g[k], volume * kept)
+        for m in range(HOURGLASS_VECTORS):
+            block = _plus_outer(block, numbers[3 * m + k], q[m], q[m])
+        if not is_exact:
             for j in range(COLUMNS):
-                _add_outer(jacobian[k, k], 0.5 * volume * abs(pressure), g[j], g[j])
+                block = _plus_outer(block, 0.5 * volume * abs(pressure), g[j], g[j])
+        _set_both(jacobian, k, k, block)
+        for j in range(k):
+            bending, twisting = numbers[12 + _pair(k, j)], numbers[15 + _pair(k, j)]
+            # Q_ij = c_j . q_i acts with Q_ji = c_i . q_j, and Q_ii with Q_jj.
+            block = _plus_outer(outer(scale(volume * lam, g[k]), g[j]), volume * kept, g[j], g[k])
+            block = _plus_outer(_plus_outer(block, twisting, q[k], q[j]), bending, q[j], q[k])
+            _set_both(jacobian, k, j, block)
+            block = _plus_outer(outer(scale(twisting, c[k]), c[j]), bending, c[j], c[k])
+            _set_both(jacobian, COLUMNS + k, COLUMNS + j, block)
+    for m in range(HOURGLASS_VECTORS):
+        own = outer(scale(numbers[3 * m], c[0]), c[0])
+        own = _plus_outer(own, numbers[3 * m + 1], c[1], c[1])
+        _set_both(jacobian, COLUMNS + m, COLUMNS + m, _plus_outer(own, numbers[3 * m + 2], c[2], c[2]))
+        for k in range(COLUMNS):
+            block = outer(scale(numbers[3 * m + k], c[k]), q[m])
+            if m < COLUMNS and m != k:
+                block = _plus_outer(block, numbers[15 + _pair(m, k)], c[m], q[k])
+            elif m == k:
+                for j in range(COLUMNS):
+                    if j != k:
+                        block = _plus_outer(block, numbers[12 + _pair(j, k)], c[j], q[j])
+            if is_exact:
+                block = _plus_diagonal(block, stress[m, k])
+            _set_both(jacobian, COLUMNS + m, k, block)
     if hexahedra.viscous_pa[h] > 0.0:
         _add_viscous_jacobian(volume * hexahedra.viscous_pa[h], c, scratch, matrix)
-    for m in range(HOURGLASS_VECTORS):
-        mode = COLUMNS + m
-        for k in range(COLUMNS):
-            number = numbers[3 * m + k]
-            _add_outer(jacobian[mode, mode], number, c[k], c[k])
-            _add_outer(jacobian[mode, k], number, c[k], q[m])
-            _add_outer(jacobian[k, k], number, q[m], q[m])
-            if matrix != PROJECTED_MATRIX:
-                for i in range(3):
-                    jacobian[mode, k, i, i] += stress[m, k]
-    for i in range(COLUMNS):
-        for j in range(COLUMNS):
-            if i != j:
-                bending, twisting = numbers[12 + _pair(i, j)], numbers[15 + _pair(i, j)]
-                # Q_ij = c_j . q_i acts with Q_ji = c_i . q_j, and Q_ii with Q_jj.
-                _add_outer(jacobian[COLUMNS + i, COLUMNS + j], bending, c[j], c[i])
-                _add_outer(jacobian[COLUMNS + i, COLUMNS + j], twisting, c[i], c[j])
-                _add_outer(jacobian[COLUMNS + i, i], bending, c[j], q[j])
-                _add_outer(jacobian[COLUMNS + i, j], twisting, c[i], q[j])
-                _add_outer(jacobian[j, i], bending, q[i], q[j])
-                _add_outer(jacobian[i, j], twisting, q[i], q[j])
-    for m in range(COLUMNS, MODES):
-        for k in range(COLUMNS):
-            for i in range(3):
-                for j in range(3):
-                    jacobian[k, m, i, j] = jacobian[m, k, j, i]
 
 
 @kernel
