@@ -41,7 +41,7 @@ def _print_requirements(found: "list[Requirement]") -> None:
     print_table(("machine", "state", "found"), rows, none="")
     for item in found:
         if item.remedy:
-            print(f"  {item.name}: {item.remedy}.")
+            print(f"  {item.name}: {item.remedy.removesuffix('.')}.")
     print()
 
 

@@ -67,7 +67,10 @@ def explain_no_namespaces() -> str:
 
 def _namespaces() -> Requirement:
     reason = explain_no_namespaces()
-    remedy = "change the setting that is named below; without one, the kernel was built without namespaces"
+    remedy = (
+        "change the setting that is named below; where none is, the kernel has no namespaces, or this is a chroot, "
+        "where only root may make them"
+    )
     if any(mark.exists() for mark in _CONTAINER_MARKS):
         remedy = (
             "the container's engine refuses them: start it with `--security-opt seccomp=unconfined --security-opt "

@@ -22,7 +22,7 @@ LEVEL = Isolation(
 
 
 def requirement(*, is_met: bool, is_needed: bool = True) -> Requirement:
-    remedy = "" if is_met else "install it"
+    remedy = "" if is_met else "install it."
     return Requirement(name="bubblewrap", is_met=is_met, is_needed=is_needed, found="some", remedy=remedy)
 
 
@@ -54,7 +54,7 @@ def test_nothing_is_tried_where_something_is_missing(
 ) -> None:
     assert doctor(monkeypatch, requirement(is_met=False), [ProbeState.HELD]) == 1
     out = capsys.readouterr().out
-    assert "bubblewrap: install it." in out
+    assert "bubblewrap: install it.\n" in out
     assert "No attack was run" in out
     assert "probe 0" not in out
 
