@@ -2,7 +2,7 @@
 
 from datetime import datetime, timedelta
 
-from sqlalchemy import delete, exists, select, update
+from sqlalchemy import delete, exists, func, select, update
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session, aliased
 
@@ -14,6 +14,8 @@ from ..database.models import (
     ApiToken,
     Appeal,
     BoardResult,
+    Brief,
+    EnteredResult,
     Invitation,
     JudgingConflict,
     Member,
@@ -59,6 +61,7 @@ def merge(session: Session, by: Principal, team: Team, into: Team) -> None:
     _move_members(session, team, into)
     _move_qualifications(session, team, into)
     _move_conflicts(session, team, into)
+    _move_briefs_and_attempts(session, team, into)
     for said in (Announcement, Appeal, Question):
         session.execute(update(said).where(said.team_id == team.id).values(team_id=into.id))
     for table in (ApiToken, BoardResult, Invitation, Notice, PartialUpload, Webhook):
@@ -125,6 +128,31 @@ def _move_conflicts(session: Session, team: Team, into: Team) -> None:
             team_id=into.id, judge=found.judge, reason=found.reason, declared_at=found.declared_at
         )
         session.execute(kept.on_conflict_do_nothing())
+    session.flush()
+
+
+def _move_briefs_and_attempts(session: Session, team: Team, into: Team) -> None:
+    """Move briefs where the other team has none or a declined one; attempts are numbered on from its last."""
+    for brief in session.scalars(select(Brief).where(Brief.team_id == team.id)).all():
+        theirs = session.get(Brief, (brief.competition, brief.track, brief.stage, into.id))
+        if theirs is not None and (theirs.accepted or not brief.accepted):
+            continue
+        if theirs is not None:
+            session.delete(theirs)
+            session.flush()
+        brief.team_id = into.id
+    for result in session.scalars(
+        select(EnteredResult).where(EnteredResult.team_id == team.id).order_by(EnteredResult.attempt)
+    ).all():
+        of_stage = (
+            EnteredResult.team_id == into.id,
+            EnteredResult.competition == result.competition,
+            EnteredResult.track == result.track,
+            EnteredResult.stage == result.stage,
+        )
+        last = session.scalar(select(func.max(EnteredResult.attempt)).where(*of_stage)) or 0
+        result.team_id, result.attempt = into.id, last + 1
+        session.flush()
     session.flush()
 
 

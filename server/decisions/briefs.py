@@ -83,8 +83,7 @@ def decide(session: Session, by: Principal, stage: Stage, team_id: UUID, reason:
     """Note what the committee decided of a brief, once the stage has closed; again, it replaces the decision.
 
     Raises:
-        ServiceError: not a judge or organizer, no such brief, the stage is open, the competition is final, or the team
-            would lose a place with which it has results.
+        ServiceError: no such brief that this principal may see, the stage is open, or the competition is final.
     """
     competition = Competition.lock(session, stage.competition)
     competition.require_not_final()

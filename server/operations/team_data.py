@@ -18,6 +18,7 @@ from ..database.models import (
     ApiToken,
     Appeal,
     AuditEntry,
+    Brief,
     CompetitionRow,
     Evaluation,
     Invitation,
@@ -29,6 +30,7 @@ from ..database.models import (
     Webhook,
 )
 from ..database.states import ACTIVE_EVALUATION_STATES, Role
+from ..decisions.briefs import brief_view
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.history import histories
 from ..principals import Principal
@@ -62,6 +64,7 @@ def export(session: Session, settings: Settings, by: Principal, team: Team) -> T
         select(Announcement).where(Announcement.team_id == team.id, Announcement.withdrawn_at.is_(None))
     )
     asked = session.scalars(select(Question).where(Question.team_id == team.id).order_by(Question.id))
+    handed_in = session.scalars(select(Brief).where(Brief.team_id == team.id).order_by(Brief.received_at))
     appealed = session.scalars(select(Appeal).where(Appeal.team_id == team.id).order_by(Appeal.id))
     return TeamDataView(
         team=own,
@@ -72,6 +75,7 @@ def export(session: Session, settings: Settings, by: Principal, team: Team) -> T
         messages=[make_announcement_view(one) for one in messages],
         questions=[make_question_view(one, by) for one in asked],
         appeals=[appeal_view(one, by) for one in appealed],
+        briefs=[brief_view(one) for one in handed_in],
         audit_log=_audit_log(session, by, team),
         made_at=read_clock(session),
     )
@@ -104,6 +108,7 @@ def erase(session: Session, by: Principal, team: Team) -> None:
     erase_output(session, Submission.team_id == team.id)
     session.execute(update(Submission).where(Submission.team_id == team.id).values(description=None))
     _rename_in_final_results(session, team)
+    session.execute(update(Brief).where(Brief.team_id == team.id).values(content=b""))  # what was decided stays
     session.execute(delete(Question).where(Question.team_id == team.id, ~Question.public))
     session.execute(update(Question).where(Question.team_id == team.id).values(team_id=None))
     session.execute(update(Appeal).where(Appeal.team_id == team.id).values(text=REMOVED))

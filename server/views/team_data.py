@@ -5,6 +5,7 @@ from datetime import datetime
 from pydantic import Field
 
 from .base import View
+from .by_hand import BriefView
 from .correspondence import AnnouncementView, AppealView, NoticeView, QuestionView, WebhookView
 from .submissions import SubmissionView
 from .teams import AuditEntryView, OwnTeamView, TokenView
@@ -22,4 +23,5 @@ class TeamDataView(View):
     messages: list[AnnouncementView] = Field(description="Of organizers to this team alone.")
     questions: list[QuestionView]
     appeals: list[AppealView]
+    briefs: list[BriefView]
     audit_log: list[AuditEntryView] = Field(description="What people changed of the team.")

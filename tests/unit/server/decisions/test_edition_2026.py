@@ -8,6 +8,8 @@ from typing import Any
 
 import pytest
 from service_factories import make_principal
+from vitac.server.accounts import teams
+from vitac.server.accounts.merging import merge
 from vitac.server.audit import newest_entries
 from vitac.server.competitions.competition import Competition
 from vitac.server.competitions.definition import CompetitionDefinition, read_competition
@@ -15,6 +17,7 @@ from vitac.server.database.engine import Database
 from vitac.server.decisions import advancement, briefs, entered_results
 from vitac.server.decisions.pdf_pages import count_pages
 from vitac.server.errors import ProblemCode, ServiceError
+from vitac.server.operations import team_data
 from vitac.server.principals import CONSOLE, VISITOR, Principal
 from vitac.server.views.by_hand import EnteredBoardView
 
@@ -214,3 +217,28 @@ def test_a_file_that_cannot_be_held_is_problem(edition: dict[str, Any], change: 
     change(edition["tracks"][TRACK])
     with pytest.raises(ValueError, match=part):
         CompetitionDefinition.model_validate(edition)
+
+
+def test_a_merge_keeps_the_accepted_brief_and_numbers_attempts_on(database: Database, edition: dict[str, Any]) -> None:
+    place(database, edition, 0)
+    ants, bees = principal(database, "Ants"), principal(database, "Bees")
+    hand_in(database, ants, pdf(2))
+    hand_in(database, bees, pdf(3))
+    place(database, edition, 1)
+    decide(database, ants)
+    decide(database, bees)
+    enter(database, team="Ants", points=points(1, 2))
+    enter(database, team="Bees", points=points(3, 4))
+    decide(database, bees, accepted=False)
+    with database.transaction() as session:
+        merge(session, CONSOLE, teams.find(session, "Ants"), teams.find(session, "Bees"))
+    with database.transaction() as session:
+        competition = Competition.read(session)
+        (entry,) = entered_results.board(session, competition.stage(TRACK, "stage2")).entries
+        assert (entry.team, entry.total, entry.attempts) == ("Bees", 7, 2)
+        (brief,) = briefs.list_briefs(session, CONSOLE, competition.stage(TRACK, "stage1"))
+        assert (brief.team.name, brief.pages, brief.accepted) == ("Bees", 2, True)
+        team_data.erase(session, CONSOLE, brief.team)
+    with database.transaction() as session:
+        (brief,) = briefs.list_briefs(session, CONSOLE, Competition.read(session).stage(TRACK, "stage1"))
+        assert (brief.content, brief.accepted) == (b"", True)
