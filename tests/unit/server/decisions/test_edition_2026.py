@@ -121,7 +121,7 @@ def test_the_published_board_follows_from_the_attempts_whose_sums_it_shows(
     for team in teams.values():
         decide(database, team)
     for name, best in zip(names, BOARD, strict=True):
-        player = {"team": name} if name else {"baseline": "Baseline"}
+        player: dict[str, Any] = {"team": name} if name else {"baseline": "Baseline"}
         # Halves of two attempts make no better one, and a worse attempt afterwards changes nothing.
         enter(database, **player, attempt=1, points=points(best[0], 0))
         enter(database, **player, attempt=2, points=points(*best))
