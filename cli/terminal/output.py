@@ -8,12 +8,13 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 from rich.cells import cell_len
-from vitac.evaluator.figures.figures import SensorFigures
-from vitac.evaluator.figures.table import make_rows, reference_figures
+
+if TYPE_CHECKING:
+    from vitac.evaluator.figures.figures import SensorFigures
 
 GAP = "  "
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
@@ -199,6 +200,8 @@ def program_name() -> str:
 
 def print_figures(figures: SensorFigures) -> None:
     """Print all figures of a sensor, and their digest."""
+    from vitac.evaluator.figures.table import make_rows, reference_figures
+
     rows = [
         (row.name, _text(row.value), _text(row.reference), row.unit) for row in make_rows(figures, reference_figures())
     ]

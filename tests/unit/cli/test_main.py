@@ -133,3 +133,12 @@ def test_missing_module_of_our_own_is_a_fault(noun_name: str, name: str, monkeyp
     monkeypatch.setattr(cli, "import_module", missing)
     with pytest.raises(ModuleNotFoundError):
         cli.main([noun_name])
+
+
+def test_commands_begin_without_numpy() -> None:
+    """Numpy and gymnasium take a quarter of a second; what a command needs of them is imported when it runs."""
+    names = ("check", "evaluate", "train", "data", "log", "doctor")
+    imports = "; ".join(f"import vitac.cli.{name}" for name in names)
+    code = f"import sys; {imports}; print([name for name in ('numpy', 'gymnasium') if name in sys.modules])"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ended.stdout == "[]\n"
