@@ -124,13 +124,14 @@ def sheared_grip(
     """
     mesh, turn = box_gel((0.012 * size, 0.011 * size, 0.006 * size), cells), np.diag([-1.0, 1.0, -1.0])
     box = box_surface((0.06 * size, 0.06 * size, 0.01 * size), (-0.03 * size, -0.045 * size, -0.005 * size))
-    at, properties = np.array([-0.006 * size, -0.0055 * size, -0.011 * size - 5e-5]), {
-        "youngs_modulus_pa": rubber.youngs_modulus_pa, "poisson_ratio": rubber.poisson_ratio,
-    }  # fmt: skip
+    at = np.array([-0.006 * size, -0.0055 * size, -0.011 * size - 5e-5])
     gels = [
-        GelBody(mesh=mesh, rotation=r, translation_m=r @ at, material=rubber.name, **properties)
+        GelBody(
+            mesh=mesh, rotation=r, translation_m=r @ at, material=rubber.name,
+            youngs_modulus_pa=rubber.youngs_modulus_pa, poisson_ratio=rubber.poisson_ratio,
+        )
         for r in (IDENTITY, turn)
-    ]
+    ]  # fmt: skip
     body = RigidBody(mesh=box, rotation=IDENTITY, translation_m=np.zeros(3), material="steel")
     pairs = tuple(
         PairFriction(first=rubber.name, second=other, coefficient=friction) for other in ("steel", rubber.name)

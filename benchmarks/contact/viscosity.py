@@ -25,14 +25,14 @@ class ShearedBlock:
         size = rng.uniform(2e-3, 6e-3, 3)
         box = hexahedral_box(tuple(size.tolist()), (2, 2, 2))
         rest = box.rest_position_m
-        inside = (np.abs(rest - 0.5 * size) < 0.49 * size).all(axis=1)
+        outside = np.any(np.abs(rest - 0.5 * size) >= 0.49 * size, axis=1)
         modulus_pa = float(rng.uniform(5e4, 1e6))
         self.branch = PronyBranch(
             modulus_ratio=float(rng.uniform(0.2, 1.5)), relaxation_time_s=float(rng.uniform(0.1, 20.0))
         )
         self.mu_pa, _ = lame_parameters_pa(modulus_pa, poisson_ratio)
         self.step_s = self.branch.relaxation_time_s / steps_per_time
-        self._mesh, self._area_m2, self._height_m = replace(box, driven=~inside), size[0] * size[1], size[2]
+        self._mesh, self._area_m2, self._height_m = replace(box, driven=outside), size[0] * size[1], size[2]
         gel = GelBody(
             mesh=self._mesh, rotation=IDENTITY, translation_m=np.zeros(3), youngs_modulus_pa=modulus_pa,
             poisson_ratio=poisson_ratio, viscosity=(self.branch,), density_kg_m3=1e-3,
