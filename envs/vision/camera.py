@@ -85,6 +85,11 @@ class Sight:
         """`Label` of every pixel, shape [480, 640]."""
         return segmentation_picture(self._view, self._surfaces)
 
+    @property
+    def labels(self) -> frozenset[int]:
+        """Classes of the bodies that there are, whether the picture shows them or not."""
+        return frozenset(self._surfaces.labels.tolist())
+
     def list_triangles(self, label: Label) -> tuple[FloatArray, FloatArray]:
         """Return corners [m], shape [t, 3, 3], and outward unit normals, shape [t, 3], of a class in the world."""
         triangles = self._surfaces.triangles[self._surfaces.labels == label]

@@ -76,7 +76,10 @@ class Renderer:
             self._sapien.render.set_ray_tracing_samples_per_pixel(_SAMPLES_PER_PIXEL)
             self._sapien.render.set_ray_tracing_denoiser("none")
         camera = self._camera()
-        entities = [self._rig(camera, sight), *(self._body(sight, label) for label in _COLOURS)]
+        entities = [
+            self._rig(camera, sight),
+            *(self._body(sight, label) for label in _COLOURS if label in sight.labels),
+        ]
         for entity in entities:
             self._scene.add_entity(entity)
         self._scene.update_render()

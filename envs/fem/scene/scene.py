@@ -303,10 +303,12 @@ class Scene:
         """Solve in one or more parts, by escaping a saddle, relaxing or continuing; how, and in how many parts."""
         s = self._solver
         if isinstance(s, CutOffSolverSettings):
-            is_solved = self._solve_motion(attempt, attempt.target, iterations=s.iterations_per_step) == SOLVED
+            step = attempt.towards(attempt.target)
+            is_solved = self._solve_motion(attempt, step, iterations=s.iterations_per_step) == SOLVED
             return (StepStatus.CONVERGED if is_solved else StepStatus.CUT_OFF), 1
         if self._goes_on(attempt):
-            outcome = self._solve_motion(attempt, attempt.target, iterations=s.phase_iterations, guesses=True)
+            guess = attempt.towards(attempt.target, guesses=True)
+            outcome = self._solve_motion(attempt, guess, iterations=s.phase_iterations)
             if outcome == SOLVED:
                 return StepStatus.CONVERGED, 1
         unstable: tuple[FloatArray, int] | None = None
@@ -321,7 +323,7 @@ class Scene:
             if self._escape_saddles(attempt):
                 return StepStatus.ESCAPED_SADDLE, parts
         self._x[:] = attempt.start
-        if self._solve_motion(attempt, attempt.target, relaxes=True) == SOLVED:
+        if self._solve_motion(attempt, attempt.towards(attempt.target, relaxes=True)) == SOLVED:
             return StepStatus.RELAXED, 1
         is_solved = self._continue_from_start(attempt) or self._follow_path(attempt)
         return (StepStatus.CONTINUED if is_solved else StepStatus.NOT_CONVERGED), 1
@@ -344,15 +346,15 @@ class Scene:
         self._x[:] = attempt.start
         for part in range(1, parts):
             waypoint = attempt.start + (part / parts) * (attempt.target - attempt.start)
-            if self._solve_motion(attempt, waypoint) != SOLVED:
+            if self._solve_motion(attempt, attempt.towards(waypoint)) != SOLVED:
                 return UNSOLVED
-        return self._solve_motion(attempt, attempt.target)
+        return self._solve_motion(attempt, attempt.towards(attempt.target))
 
     def _escape_saddles(self, attempt: _Attempt) -> bool:
         """Leave the unstable equilibrium that the scene is in, and any that this leads to."""
         for _ in range(self._solver.saddle_escapes):
             attempt.saddle_escapes += 1
-            outcome = self._solve_motion(attempt, attempt.target, escapes_saddle=True)
+            outcome = self._solve_motion(attempt, attempt.towards(attempt.target, escapes_saddle=True))
             if outcome != UNSTABLE:
                 return outcome == SOLVED
         return False
@@ -370,7 +372,8 @@ class Scene:
             before, following = self._x.copy(), min(1.0, part + stride)
             waypoint = attempt.start + following * (attempt.target - attempt.start)
             attempt.held, shortest = (1.0 - following) * unbalanced, stride <= _SHORTEST_STRIDE
-            if self._solve_motion(attempt, waypoint, relaxes=shortest, residual_n=residual_n) == SOLVED:
+            step = attempt.towards(waypoint, relaxes=shortest)
+            if self._solve_motion(attempt, step, residual_n=residual_n) == SOLVED:
                 part, stride, solved_before = following, 2.0 * stride if solved_before else stride, True
             elif shortest:
                 break
@@ -379,7 +382,7 @@ class Scene:
             if part == 1.0:
                 return True
         attempt.held = np.zeros_like(unbalanced)
-        return self._solve_motion(attempt, attempt.target) == SOLVED
+        return self._solve_motion(attempt, attempt.towards(attempt.target)) == SOLVED
 
     def _follow_path(self, attempt: _Attempt) -> bool:
         """Follow the path of balances from the start, also where it turns back; the state stays where that fails."""
@@ -389,7 +392,7 @@ class Scene:
         path = BalancePath(self._model, self._x, step, unbalanced, self._workspace)
         arrived = path.follow(_PATH_ITERATIONS * self._solver.newton_iterations)
         attempt.record.counts[Counter.ITERATIONS] += path.iterations
-        if arrived and self._solve_motion(attempt, attempt.target) == SOLVED:
+        if arrived and self._solve_motion(attempt, step) == SOLVED:
             return True
         self._x[:] = before
         forces_at(self._model, self._x, step, self._workspace)
@@ -398,16 +401,12 @@ class Scene:
     def _solve_motion(
         self,
         attempt: _Attempt,
-        waypoint: FloatArray,
+        step: IpcStep,
         *,
         iterations: int | None = None,
-        escapes_saddle: bool = False,
-        relaxes: bool = False,
-        guesses: bool = False,
         residual_n: float | None = None,
     ) -> int:
         s = self._solver
-        step = attempt.towards(waypoint, escapes_saddle=escapes_saddle, relaxes=relaxes, guesses=guesses)
         most = s.newton_iterations if iterations is None else iterations
         residual_n = s.residual_tolerance_n if residual_n is None else residual_n
         tolerances = Tolerances(s.step_tolerance_m, residual_n, most, s.phase_iterations)

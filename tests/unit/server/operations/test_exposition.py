@@ -123,7 +123,7 @@ def seen_worker(host: str, state: WorkerState = WorkerState.READY, *, lost: bool
         "id": uuid4(), "host": host, "pid": 1, "slots": 2, "state": state, "message": "", "isolation": "",
         "evaluator_version": "1+a", "families": [], "platform_class": "x86_64-linux", "started_at": AT,
         "heartbeat_at": AT, "disk_bytes": 100, "disk_free_bytes": 40, "is_lost": lost, "worker_order": "work",
-        "shards": [],
+        "shards": [], "has_gpu": False,
     }  # fmt: skip
     return WorkerView.model_validate(values | changes)
 
