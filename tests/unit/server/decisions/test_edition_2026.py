@@ -62,6 +62,24 @@ def test_pages_of_a_pdf_are_counted(data: bytes, pages: int) -> None:
     assert count_pages(data) == pages
 
 
+OVERLAPPING = b"1 0 2 99999 " * 100_000
+"""Of an object stream each of whose objects would be most of it."""
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"1 0 obj " * 1_000_000,
+        b"1 0 obj <<>> stream\n" * 500_000 + b"endobj",
+        b"1 0 obj << /Type /ObjStm /First %d >>\nstream\n%b\nendstream endobj"
+        % (len(OVERLAPPING), zlib.compress(OVERLAPPING + bytes(8_000_000))),
+    ],
+    ids=["objects without an end", "streams without an end", "objects that overlap"],
+)
+def test_a_hostile_pdf_is_looked_at_once(data: bytes) -> None:
+    assert count_pages(b"%PDF-1.7\n" + data) == 0
+
+
 @pytest.fixture
 def edition() -> dict[str, Any]:
     return read_competition(FILE).model_dump(mode="json")
