@@ -15,7 +15,7 @@ from vitac.envs.tasks.task_env import ActionError
 ENV_IDS = sorted(vitac.envs.ENVIRONMENTS)
 KINDS = {"sync": SyncVectorEnv, "async": AsyncVectorEnv, None: ForkedVectorEnv}
 COPIES = 4
-SEEDS = 20
+SEEDS = 8
 ARGUMENTS: dict[str, Any] = {"max_steps": 1, "observation_keys": ("marker_flow",)}
 
 
