@@ -57,21 +57,21 @@ def draw_clutter(look: Look, random: np.random.Generator) -> tuple[tuple[Surface
     return tuple((_box(draw, _CLUTTER_AREAS_MM[k % 3]), labels[k % 2]) for k, draw in enumerate(draws))
 
 
-class Sheet(NamedTuple):
+class Rectangle(NamedTuple):
     """A flat rectangle."""
 
     vertices_m: FloatArray  # [4, 3] [m]
     triangles: IndexArray  # [2, 3] counter-clockwise seen from outside
 
 
-def build_surroundings() -> tuple[tuple[Sheet, Label], ...]:
+def build_surroundings() -> tuple[tuple[Rectangle, Label], ...]:
     """Return the table that the base stands on, and the wall behind it as the rig looks."""
     near, far, low, high = _WALL_X_MM + _REACH_MM, _WALL_X_MM, _GROUND_MM, _GROUND_MM + _REACH_MM
     left, right = -_REACH_MM, _REACH_MM
     table = np.array([(far, left, low), (near, left, low), (near, right, low), (far, right, low)])
     wall = np.array([(far, left, low), (far, right, low), (far, right, high), (far, left, high)])
     halves = np.array([(0, 1, 2), (0, 2, 3)])
-    return (Sheet(1e-3 * table, halves), Label.TABLE), (Sheet(1e-3 * wall, halves), Label.WALL)
+    return (Rectangle(1e-3 * table, halves), Label.TABLE), (Rectangle(1e-3 * wall, halves), Label.WALL)
 
 
 def turned_hues(colours: FloatArray, labels: NDArray[np.uint8], look: Look) -> FloatArray:

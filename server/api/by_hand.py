@@ -63,7 +63,7 @@ async def put_brief(
 @router.get(f"{STAGE}/briefs", tags=["briefs"])
 def list_briefs(services: ServicesOf, principal: SignedInOf, competition: str, track: str, stage: str) -> BriefListView:
     """Return the own team's brief, all for organizers and judges."""
-    with services.database.transaction() as session:
+    with services.database.reading() as session:
         found = briefs.list_briefs(session, principal, Competition.find(session, competition).stage(track, stage))
         return BriefListView(items=[briefs.brief_view(brief) for brief in found])
 
@@ -73,7 +73,7 @@ def get_brief(
     services: ServicesOf, principal: JudgeOf, competition: str, track: str, stage: str, team_id: UUID
 ) -> Response:
     """Return the PDF of a brief (judges and organizers)."""
-    with services.database.transaction() as session:
+    with services.database.reading() as session:
         brief = briefs.find(session, principal, Competition.find(session, competition).stage(track, stage), team_id)
         headers = {"Content-Disposition": f'attachment; filename="{brief.team_id}.pdf"', "Cache-Control": "no-store"}
         return Response(brief.content, status_code=HTTPStatus.OK, media_type="application/pdf", headers=headers)
@@ -118,6 +118,6 @@ def get_results(
     services: ServicesOf, principal: VisitorOf, competition: str, track: str, stage: str
 ) -> EnteredBoardView:
     """Return the board of a stage whose results are entered: the best attempt of each team, the largest sum first."""
-    with services.database.transaction() as session:
+    with services.database.reading() as session:
         found = Competition.find(session, competition).stage(track, stage)
         return entered_results.board(session, found, principal)

@@ -3,7 +3,9 @@
 The score of an attempt is the sum over the stage's tasks, all of the same attempt; a team's best attempt counts.
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from uuid import UUID
 
 from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
@@ -87,17 +89,17 @@ def board(session: Session, stage: Stage, by: Principal = VISITOR) -> EnteredBoa
         ServiceError: its results are not entered.
     """
     tasks, names = _require_tasks(stage), ShownNames.read(session, by)
-    best: dict[str, EnteredResult] = {}
-    attempts: dict[str, int] = {}
+    best: dict[UUID | str | None, EnteredResult] = {}
+    attempts: Counter[UUID | str | None] = Counter()
     for row in session.scalars(_of_stage(stage).order_by(EnteredResult.entered_at, EnteredResult.id)):
         if row.team is not None and row.team.disqualified_at is not None:
             continue
-        player = names.show_name(row.team) if row.team is not None else row.baseline or ""
-        attempts[player] = attempts.get(player, 0) + 1
+        player = row.team_id or row.baseline
+        attempts[player] += 1
         if player not in best or _total(tasks, row) > _total(tasks, best[player]):
             best[player] = row
     ordered = sorted(best.items(), key=lambda item: -_total(tasks, item[1]))
-    ranks = {player: rank for rank, player in enumerate((name for name, row in ordered if row.team is not None), 1)}
+    ranks = {player: rank for rank, player in enumerate((player for player, row in ordered if row.team), 1)}
     prizes = _list_prizes(stage) if stage.is_over(read_clock(session)) else []
     return EnteredBoardView(
         competition=stage.competition,
@@ -107,7 +109,7 @@ def board(session: Session, stage: Stage, by: Principal = VISITOR) -> EnteredBoa
         entries=[
             EnteredEntryView(
                 rank=ranks.get(player),
-                team=player,
+                team=names.show_name(row.team) if row.team is not None else row.baseline or "",
                 is_baseline=row.team is None,
                 attempt=row.attempt,
                 attempts=attempts[player],
@@ -145,11 +147,12 @@ def _total(tasks: Sequence[EnteredTask], row: EnteredResult) -> float:
 def _find_taking_part(session: Session, stage: Stage, name: str) -> Team:
     team = teams.find(session, name)
     teams.require_taking_part(team)
-    by_committee = stage.rules.qualified is not None and stage.rules.qualified.committee
-    if by_committee and (stage.before is None or not is_accepted(session, stage.before, team.id)):
+    rule = stage.rules.qualified
+    is_chosen = rule and rule.committee and stage.before and is_accepted(session, stage.before, team.id)
+    if not (is_chosen or stage.may_submit(team)):
         raise ServiceError(
             ProblemCode.NOT_QUALIFIED,
-            f"{team.name} has no brief that the committee accepted, so it takes no part in stage {stage.name}.",
+            f"{team.name} takes no part in stage {stage.name}: it is for {rule.sentence if rule else 'all'}.",
         )
     return team
 

@@ -17,7 +17,7 @@ from ..database.models import Evaluation, Station, Submission, Team, Trial
 from ..database.states import WorkState
 from ..errors import ProblemCode, ServiceError
 from ..principals import Principal
-from ..queue.work import UNPLANNED, at_station
+from ..queue.work import UNPLANNED, at_station, find_station
 from ..views.competition import PlannedTrialView
 
 
@@ -70,7 +70,7 @@ def list_trials(session: Session, by: Principal, stage: Stage) -> list[PlannedTr
     return [
         PlannedTrialView(
             position=position,
-            station=trial.requires.partition(" at ")[2],
+            station=find_station(trial.requires),
             submission_id=trial.evaluation.submission_id,
             task=trial.task,
             episode=trial.episodes[0],

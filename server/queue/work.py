@@ -37,6 +37,7 @@ CHANNEL = "vitac_work"
 
 UNPLANNED = " unplanned"
 """At the end of what a trial requires that waits for its plan: no worker has it."""
+_AT = " at "
 
 SHARED_OVER_S = 300.0
 """Time over which shares are measured [s]."""
@@ -149,7 +150,12 @@ def name_requirement(
 
 def at_station(requirement: str, station: str) -> str:
     """Return the requirement of a trial for which its plan names a station."""
-    return f"{requirement.removesuffix(UNPLANNED)} at {station}"
+    return f"{requirement.removesuffix(UNPLANNED)}{_AT}{station}"
+
+
+def find_station(requirement: str) -> str:
+    """Return the station that a plan named for a trial."""
+    return requirement.partition(_AT)[2]
 
 
 def waiting(session: Session, kind: WorkKind, *, owner: str, requires: str, turn: int | None = None) -> dict[str, Any]:

@@ -64,7 +64,7 @@ def add_noise(
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class PlayedEpisode:
+class Rollout:
     """An episode that was played.
 
     Attributes:
@@ -103,7 +103,7 @@ class Expert:
         """Make another one where it is sent to; an environment stays in its process."""
         return self._again, ()
 
-    def play(self, options: Mapping[str, Any], plans: Sequence[ExpertPlan] = PLANS) -> PlayedEpisode:
+    def play(self, options: Mapping[str, Any], plans: Sequence[ExpertPlan] = PLANS) -> Rollout:
         """Play the first plan that succeeds, or the last."""
         _, start = self.env.reset(options=options)
         snapshot = self.env.snapshot()
@@ -114,7 +114,7 @@ class Expert:
                 break
         return played
 
-    def _follow(self, plan: ExpertPlan, info: Mapping[str, Any]) -> PlayedEpisode:
+    def _follow(self, plan: ExpertPlan, info: Mapping[str, Any]) -> Rollout:
         random = np.random.default_rng(plan.seed)
         actions, state_hashes, total_reward = [], [self.env.state_hash()], 0.0
         while info["end_reason"] is None:
@@ -122,7 +122,7 @@ class Expert:
             _, reward, _, _, info = self.env.step(actions[-1])
             state_hashes.append(self.env.state_hash())
             total_reward += float(reward)
-        return PlayedEpisode(
+        return Rollout(
             info=info,
             actions=np.array(actions, dtype=np.float32).reshape(len(actions), -1),
             state_hashes=tuple(state_hashes),

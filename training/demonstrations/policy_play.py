@@ -16,7 +16,7 @@ from vitac.evaluator.shards.policy import load_in_sandbox
 from vitac.evaluator.submission.manifest import load_manifest
 from vitac.evaluator.tracks import Task, Track
 
-from .expert import PlayedEpisode
+from .expert import Rollout
 
 
 class PolicyStopped(VitacError):
@@ -47,7 +47,7 @@ class PolicyPlayer:
     ) -> None:
         self._exits.close()
 
-    def play(self, options: Mapping[str, Any], *, spread: float, random: np.random.Generator) -> PlayedEpisode:
+    def play(self, options: Mapping[str, Any], *, spread: float, random: np.random.Generator) -> Rollout:
         """Play an episode.
 
         Args:
@@ -72,7 +72,7 @@ class PolicyPlayer:
                     total_reward += float(reward)
         except PolicyFailed as failure:
             raise PolicyStopped(f"The policy failed with {dict(options)}: {failure}") from failure
-        return PlayedEpisode(
+        return Rollout(
             info=info, actions=np.array(actions), state_hashes=tuple(state_hashes), total_reward=total_reward
         )
 

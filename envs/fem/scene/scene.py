@@ -306,7 +306,7 @@ class Scene:
             step = attempt.towards(attempt.target)
             is_solved = self._solve_motion(attempt, step, iterations=s.iterations_per_step) == SOLVED
             return (StepStatus.CONVERGED if is_solved else StepStatus.CUT_OFF), 1
-        if self._goes_on(attempt):
+        if self._continues_motion(attempt):
             guess = attempt.towards(attempt.target, guesses=True)
             outcome = self._solve_motion(attempt, guess, iterations=s.phase_iterations)
             if outcome == SOLVED:
@@ -328,7 +328,7 @@ class Scene:
         is_solved = self._continue_from_start(attempt) or self._follow_path(attempt)
         return (StepStatus.CONTINUED if is_solved else StepStatus.NOT_CONVERGED), 1
 
-    def _goes_on(self, attempt: _Attempt) -> bool:
+    def _continues_motion(self, attempt: _Attempt) -> bool:
         """Return whether the driven nodes move about as in the IPC step before, in which no node went much further."""
         if not self._model.parameters.remembers_slip:
             return False

@@ -23,7 +23,7 @@ from ...geometry.pegs import PegShape, bottom_vertices, peg_surface
 from ...scene.grasped_scene import Clocks, PhysicsSettings, fixed_at_origin
 from ...tactile.markers import MarkerSettings
 from ...vision.camera import DepthMode, RigCamera, Sight
-from ...vision.look import CHALLENGE_LOOK, Look, Sheet, build_surroundings, draw_clutter
+from ...vision.look import CHALLENGE_LOOK, Look, Rectangle, build_surroundings, draw_clutter
 from ...vision.pinhole import RigShift, colour_camera_pose
 from ...vision.rasterizer import Body, Label
 from ..insertion.interface import GRIPPER_X, GRIPPER_Z, PegOffset
@@ -271,7 +271,7 @@ class FusionScene(InsertionScene[FusionOffset, FusionInsertionSettings]):
         super().__init__(parts, offset=start.offset, settings=settings, clocks=clocks)
         # A generator of its own, so that clutter leaves the noise of the pictures as it is.
         clutter = draw_clutter(settings.look, np.random.default_rng((rig.noise_seed, _CLUTTER_STREAM)))
-        self._around: tuple[tuple[SurfaceMesh | Sheet, Label], ...] = clutter
+        self._around: tuple[tuple[SurfaceMesh | Rectangle, Label], ...] = clutter
         # Pictures of 2025 have a white background.
         if settings.physics.contact.model is ContactModel.ARENA_2:
             self._around += build_surroundings()

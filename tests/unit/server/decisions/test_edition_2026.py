@@ -185,7 +185,7 @@ def test_a_committee_lets_in_whom_it_accepts_and_nobody_else(database: Database,
 
 
 @pytest.mark.parametrize("content", [pdf(1), pdf(5), b"%PDF-1.7 nothing", b"a letter"])
-def test_a_brief_of_other_pages_is_problem(database: Database, edition: dict[str, Any], content: bytes) -> None:
+def test_a_brief_of_other_pages_is_refused(database: Database, edition: dict[str, Any], content: bytes) -> None:
     place(database, edition, 0)
     refusal = problem(hand_in, database, principal(database, "Ants"), content)
     assert "Expected a brief of 2 to 4 pages as PDF, got " in refusal.detail
@@ -201,11 +201,34 @@ def test_a_brief_of_other_pages_is_problem(database: Database, edition: dict[str
         ({"points": points(1, 1), "team": "Ants"}, "one of both"),
     ],
 )
-def test_points_that_no_attempt_can_have_are_problem(
+def test_points_that_no_attempt_can_have_are_refused(
     database: Database, edition: dict[str, Any], values: dict[str, Any], part: str
 ) -> None:
     place(database, edition, 1)
     assert part in problem(enter, database, **{"baseline": "Ours", **values}).detail
+
+
+def test_a_baseline_with_the_name_of_a_team_is_another_player(database: Database, edition: dict[str, Any]) -> None:
+    place(database, edition, 0)
+    ants = principal(database, "Ants")
+    hand_in(database, ants, pdf(2))
+    place(database, edition, 1)
+    decide(database, ants)
+    enter(database, team="Ants", points=points(1, 2))
+    board = enter(database, baseline="Ants", points=points(30, 4))
+    shown = [(entry.rank, entry.is_baseline, entry.total, entry.attempts) for entry in board.entries]
+    assert shown == [(None, True, 34, 1), (1, False, 3, 1)]
+
+
+def test_results_are_entered_of_teams_that_advanced_only_by_whatever_rule(
+    database: Database, edition: dict[str, Any]
+) -> None:
+    edition["tracks"][TRACK]["stages"][1]["qualified"] = {"top": 1}
+    place(database, edition, 1)
+    principal(database, "Ants")
+    refusal = problem(enter, database, team="Ants", points=points(1, 2))
+    assert refusal.code is ProblemCode.NOT_QUALIFIED
+    assert "it is for the best team of the stage before" in refusal.detail
 
 
 def test_a_correction_replaces_the_attempt_and_the_audit_log_has_both(
@@ -231,7 +254,7 @@ def test_a_correction_replaces_the_attempt_and_the_audit_log_has_both(
         (lambda track: track["stages"][0]["brief"].update(min_pages=5), "expected at most max_pages"),
     ],
 )
-def test_a_file_that_cannot_be_held_is_problem(edition: dict[str, Any], change: Any, part: str) -> None:
+def test_a_file_that_cannot_be_held_is_refused(edition: dict[str, Any], change: Any, part: str) -> None:
     change(edition["tracks"][TRACK])
     with pytest.raises(ValueError, match=part):
         CompetitionDefinition.model_validate(edition)
