@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from vitac.evaluator.episodes.records import EpisodeRecord
     from vitac.evaluator.evaluation.local import LocalEvaluation
+    from vitac.evaluator.remote.description import RemoteProtocol
     from vitac.evaluator.scoring.score import ForceSummary, Rate
     from vitac.evaluator.shards.host_process import HostProcess
     from vitac.evaluator.submission.manifest import SubmissionManifest
@@ -47,14 +48,20 @@ def find_policy_server(manifest: "SubmissionManifest", remote: str | None) -> st
     """Return the address of the policy server that plays, as given or in submission.yaml; None without one."""
     if remote is None and manifest.remote is None:
         return None
-    from vitac.evaluator.remote.line import check_address
+    from vitac.evaluator.remote.protocols import check_address
 
-    address = remote or manifest.server().address
+    server = manifest.server()
+    address = remote or server.address
     if address is None:
         raise typer.BadParameter("submission.yaml has a policy server play; give its address.", param_hint="--remote")
-    check_address(address)
-    manifest.server()
+    check_address(address, server.protocol)
     return address
+
+
+def check_lines(protocol: "RemoteProtocol", lines: int, option: str) -> None:
+    """Refuse several lines to a policy server that answers one client at a time."""
+    if lines > 1 and protocol.has_one_client:
+        raise typer.BadParameter(f"a {protocol} server answers one client at a time; leave it out.", param_hint=option)
 
 
 def parse_episodes(text: str | None) -> tuple[int, ...] | None:
@@ -144,6 +151,8 @@ def _evaluate(request: "_Request", submission: Path) -> "tuple[LocalEvaluation, 
         with staged(submission, request.kind) as folder:
             manifest = load_manifest(folder)
             request = replace(request, remote=find_policy_server(manifest, request.remote))
+            if request.remote is not None:
+                check_lines(manifest.server().protocol, request.workers or 1, "--workers")
             digest = submission_digest(submission, kind=request.kind)
             return request.evaluate(folder, manifest, host), manifest, digest
 

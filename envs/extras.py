@@ -15,6 +15,7 @@ _DISTRIBUTIONS = {
     "PIL": "pillow",
     "argon2": "argon2-cffi",
     "cv2": "opencv-python-headless",
+    "grpc": "grpcio",
     "h11": "uvicorn",
     "h5py": "minari",
     "markdown_it": "markdown-it-py",

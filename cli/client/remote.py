@@ -6,20 +6,24 @@ import asyncio
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final
 from urllib.parse import urlsplit, urlunsplit
 
 import typer
 from vitac.envs.errors import VitacError
 
-from ..evaluate import Image, find_playing_kind
+from ..evaluate import Image, check_lines, find_playing_kind
 from ..terminal.output import Server, TokenFile, existing, warn
 from ..terminal.own_policy import fall_back_where_nothing_isolates
 from .http import make_client
 from .status import show_when_ended
 from .submit import describe, packed
+
+if TYPE_CHECKING:
+    from vitac.evaluator.submission.manifest import SubmissionManifest
 
 app = typer.Typer(no_args_is_help=True)
 _RETRY_S: Final = 1.0
@@ -68,12 +72,9 @@ def connect(
     A line that is cut is dialled again; the episode that it cut is played again. Ctrl-C ends the lines: the service
     waits a minute for others.
     """
-    from vitac.evaluator.remote.line import check_address
-
     client = make_client(server, token_file)
     with ExitStack() as stack:
-        folder, address = (policy, remote) if remote else stack.enter_context(_playing_here(policy, is_image=image))
-        check_address(address)
+        folder, address = stack.enter_context(_answering(policy, remote, is_image=image, lines=lines))
         stack.enter_context(connected(gate or gate_address(client.server), client.token or "", address, lines))
         with packed(folder) as archive:
             answer = client.upload(
@@ -89,34 +90,57 @@ def connect(
 
 
 @contextmanager
-def _playing_here(policy: Path, *, is_image: bool) -> Iterator[tuple[Path, str]]:
-    """Serve a policy of one's own; return a folder that describes it to the service, and its address.
+def _answering(policy: Path, remote: str | None, *, is_image: bool, lines: int) -> Iterator[tuple[Path, str]]:
+    """Return the folder that describes a policy to the service, and the address of what answers.
 
-    The folder names the policy's digest: for another policy all episodes are played anew.
+    A policy server is asked in its own words. A policy that plays here, and a server of LeRobot, whose pickles no
+    service reads, are served in those of vla-eval, and the folder names the policy's digest: for another one all
+    episodes are played anew.
     """
-    import yaml
+    from vitac.evaluator.agent.limits import Limits
     from vitac.evaluator.evaluation.serving import served
-    from vitac.evaluator.remote.description import DIALS_IN, RemoteProtocol
+    from vitac.evaluator.remote.description import RemoteProtocol
+    from vitac.evaluator.remote.protocols import check_address
+    from vitac.evaluator.shards.policy import load_in_sandbox, load_remote
     from vitac.evaluator.submission.manifest import load_manifest
-    from vitac.evaluator.submission.names import MANIFEST_NAME
     from vitac.evaluator.submission.sources import staged, submission_digest
+    from vitac.evaluator.tracks import load_track
 
     kind = find_playing_kind(policy, is_image=is_image)
-    fall_back_where_nothing_isolates()
-    with staged(policy, kind) as submission, TemporaryDirectory(prefix="vitac-remote-") as folder:
+    with staged(policy, kind) as submission:
         manifest = load_manifest(submission)
-        if manifest.remote is not None:
-            raise typer.BadParameter(
-                "submission.yaml has a policy server play; give its address.", param_hint="--remote"
-            )
-        content = manifest.model_dump(mode="json", include={"track", "tasks", "name", "control_modes"})
-        content["remote"] = {"protocol": str(RemoteProtocol.VLA_EVAL), "address": DIALS_IN}
-        if manifest.observation_keys is not None:
-            content["remote"]["observations"] = {key: key for key in manifest.observation_keys}
-        (Path(folder) / MANIFEST_NAME).write_text(yaml.safe_dump(content), encoding="utf-8")
-        (Path(folder) / "policy.sha256").write_text(f"{submission_digest(policy, kind=kind)}\n", encoding="utf-8")
-        with served(submission, kind) as address:
+        track = load_track(manifest.track)
+        if remote is None:
+            if manifest.remote is not None:
+                raise typer.BadParameter(
+                    "submission.yaml has a policy server play; give its address.", param_hint="--remote"
+                )
+            fall_back_where_nothing_isolates()
+            load = partial(load_in_sandbox, submission, Limits(), track.packages, kind=kind)
+        else:
+            protocol = manifest.server().protocol
+            check_address(remote, protocol)
+            if protocol is not RemoteProtocol.LEROBOT:
+                yield policy, remote
+                return
+            check_lines(protocol, lines, "--lines")
+            load = partial(load_remote, submission, Limits(), remote)
+        with TemporaryDirectory(prefix="vitac-remote-") as folder, served(track, load) as address:
+            _write_description(Path(folder), manifest, submission_digest(policy, kind=kind))
             yield Path(folder), address
+
+
+def _write_description(folder: Path, manifest: SubmissionManifest, digest: str) -> None:
+    import yaml
+    from vitac.evaluator.remote.description import DIALS_IN, RemoteProtocol
+    from vitac.evaluator.submission.names import MANIFEST_NAME
+
+    content = manifest.model_dump(mode="json", include={"track", "tasks", "name", "control_modes"})
+    content["remote"] = {"protocol": str(RemoteProtocol.VLA_EVAL), "address": DIALS_IN}
+    if manifest.observation_keys is not None:
+        content["remote"]["observations"] = {key: key for key in manifest.observation_keys}
+    (folder / MANIFEST_NAME).write_text(yaml.safe_dump(content), encoding="utf-8")
+    (folder / "policy.sha256").write_text(f"{digest}\n", encoding="utf-8")
 
 
 def gate_address(server: str) -> str:

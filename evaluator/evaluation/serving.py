@@ -1,28 +1,23 @@
-"""A policy server that plays one's own folder or image as `vitac evaluate` does; `vitac remote connect` asks it.
+"""A policy server in front of one's own folder, image or server of LeRobot; `vitac remote connect` asks it.
 
 It speaks the protocol of vla-eval's model servers, which says where an episode begins and ends.
 """
 
 import threading
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import partial
-from pathlib import Path
 from typing import Any, Final
 
 from numpy.typing import NDArray
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import ServerConnection, serve
 
-from ..agent.limits import Limits
-from ..agent.verdicts import PolicyFailed
+from ..agent.verdicts import EpisodeCut, PolicyFailed
 from ..episodes.episode import Session
 from ..remote.codec import decode, encode, read_value
 from ..remote.protocols import VLA_EVAL_VERSION
-from ..shards.policy import load_in_sandbox
-from ..submission.manifest import load_manifest
-from ..submission_kinds import SubmissionKind
-from ..tracks import Track, load_track
+from ..tracks import Track
 
 _HOST: Final = "127.0.0.1"
 
@@ -30,16 +25,19 @@ Message = tuple[str, Mapping[str, Any], int]
 """Its type, payload and number."""
 
 
+Load = Callable[[], AbstractContextManager[Session]]
+"""Gives what asks the policy, once for each line."""
+
+
 @contextmanager
-def served(submission_dir: Path, kind: SubmissionKind = SubmissionKind.MODEL) -> Iterator[str]:
-    """Serve a policy while the block runs, with a sandbox for each line, and return the address of this machine.
+def served(track: Track, load: Load) -> Iterator[str]:
+    """Serve a policy while the block runs, and return the address of this machine.
 
     Args:
-        submission_dir: folder of the unpacked submission.
-        kind: what it is.
+        track: that it plays.
+        load: gives what asks it.
     """
-    track = load_track(load_manifest(submission_dir).track)
-    answer = partial(_answer, submission_dir=submission_dir, kind=kind, track=track)
+    answer = partial(_answer, track=track, load=load)
     with serve(answer, _HOST, 0, compression=None, max_size=None) as server:
         thread = threading.Thread(target=server.serve_forever, name="policy-server", daemon=True)
         thread.start()
@@ -50,15 +48,15 @@ def served(submission_dir: Path, kind: SubmissionKind = SubmissionKind.MODEL) ->
             thread.join()
 
 
-def _answer(connection: ServerConnection, *, submission_dir: Path, kind: SubmissionKind, track: Track) -> None:
-    """Play the episodes of one line."""
+def _answer(connection: ServerConnection, *, track: Track, load: Load) -> None:
+    """Play the episodes of one line; it ends with an episode that was cut."""
     messages = _read_messages(connection)
     name, _, seq = next(messages, ("", {}, 0))
     if name != "hello":
         return
     _send(connection, "hello", {"protocol_version": VLA_EVAL_VERSION, "server_name": "vitac"}, seq)
     try:
-        with load_in_sandbox(submission_dir, Limits(), track.packages, kind=kind) as session:
+        with suppress(EpisodeCut), load() as session:
             for name, payload, _ in messages:
                 if name == "episode_start":
                     session.begin_shard()  # the limit of a shard's time holds at the service

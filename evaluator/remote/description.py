@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping
 from enum import StrEnum
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from ..strict_model import StrictModel
 
@@ -24,11 +24,24 @@ class RemoteProtocol(StrEnum):
     """A model server of vla-eval: we dial it, it hears of the start and the end of each episode."""
     ROBOT_BRIDGE = "robot-bridge"
     """A policy of the 2026 edition: it dials us, as it dials the robot."""
+    LEROBOT = "lerobot"
+    """LeRobot's server of policies: we dial it, it loads the policy that it is told."""
 
     @property
-    def dials(self) -> bool:
-        """Whether the policy dials us, and not we it."""
-        return self is RemoteProtocol.ROBOT_BRIDGE
+    def has_one_client(self) -> bool:
+        """Whether a server answers one client at a time: another one's questions would take its answers."""
+        return self is RemoteProtocol.LEROBOT
+
+
+class LeRobotPolicy(StrictModel):
+    """Section `policy`: what a server of LeRobot loads."""
+
+    type: Annotated[str, Field(min_length=1, max_length=80, description="LeRobot's name of the kind, such as act.")]
+    path: Annotated[
+        str,
+        Field(min_length=1, max_length=300, description="Folder on the server's machine, or name at its model hub."),
+    ]
+    device: Annotated[str, Field(min_length=1, max_length=80, description="Where it computes, such as cuda.")] = "cpu"
 
 
 class SentValue(StrictModel):
@@ -53,7 +66,7 @@ def _as_key(value: object) -> object:
 class RemoteServer(StrictModel):
     """Section `remote` of submission.yaml."""
 
-    protocol: Annotated[RemoteProtocol, Field(description="openpi, vla-eval or robot-bridge.")]
+    protocol: Annotated[RemoteProtocol, Field(description="openpi, vla-eval, robot-bridge or lerobot.")]
     observations: Annotated[
         dict[
             Annotated[str, Field(min_length=1, max_length=80)],
@@ -62,6 +75,7 @@ class RemoteServer(StrictModel):
         | None,
         Field(min_length=1, max_length=64, description="What is sent, by the server's name for it; all by default."),
     ] = None
+    policy: Annotated[LeRobotPolicy | None, Field(description="What a server of lerobot loads.")] = None
     address: Annotated[
         str | None,
         Field(
@@ -73,6 +87,15 @@ class RemoteServer(StrictModel):
     execute: Annotated[
         int, Field(ge=1, le=1000, description="How many actions of an answer are played before the next question.")
     ] = 1
+
+    @model_validator(mode="after")
+    def _check_policy(self) -> Self:
+        is_lerobot = self.protocol is RemoteProtocol.LEROBOT
+        if is_lerobot and self.policy is None:
+            raise ValueError("lerobot needs a section `policy`, which says what its server loads")
+        if not is_lerobot and self.policy is not None:
+            raise ValueError(f"a section `policy` is for lerobot alone; {self.protocol} serves what it has")
+        return self
 
     @property
     def keys(self) -> tuple[str, ...] | None:

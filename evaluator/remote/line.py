@@ -41,7 +41,7 @@ class LineSilent(Exception):
     """The deadline has passed."""
 
 
-def check_address(address: str) -> None:
+def check_websocket(address: str) -> None:
     """Make sure that an address names a websocket, and its port.
 
     Raises:

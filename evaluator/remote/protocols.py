@@ -1,49 +1,36 @@
 """The protocols of policy servers there are: what is said before, in and after an episode; called by `session`."""
 
+import re
 import time
 from collections.abc import Mapping
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
-from numpy.typing import NDArray
+from vitac.envs.extras import require_extra
 
-from ..agent.isolation.output import printable
 from ..agent.protocol.frames import violation
-from ..agent.verdicts import PolicyFailed, VerdictCode
 from .codec import decode, encode, read_field
-from .description import RemoteProtocol, by_level
-from .line import Line, LineLost
+from .description import RemoteProtocol, RemoteServer, by_level
+from .dialogue import Dialogue, Sent, reported
+from .line import AddressInvalid, Line, LineLost, check_websocket
 
 _BRIDGE_VERSION: Final = "robot-bridge-v1"
 VLA_EVAL_VERSION: Final = 1
-_ERROR_CHARACTERS: Final = 4096
-
-Sent = Mapping[str, NDArray[Any]]
+_GRPC: Final = re.compile(r"grpc://[^/@?#\s]+:[0-9]{1,5}")
 
 
-class Dialogue(Protocol):
-    """What both ends say on one line; every call has a deadline by the monotonic clock.
-
-    All raise `PolicyFailed`, `LineLost` and `LineSilent`.
-    """
-
-    def greet(self, deadline_s: float) -> None:
-        """Do what comes before the first episode."""
-
-    def begin(self, prompt: str, deadline_s: float) -> None:
-        """Say that an episode begins."""
-
-    def ask(self, sent: Sent, prompt: str, deadline_s: float) -> object:
-        """Send an observation; return the field with the actions, undecoded."""
-
-    def end(self, deadline_s: float) -> None:
-        """Say that the episode is over."""
-
-
-class OpenPi:
-    """openpi: metadata first, then one answer to each observation; a text frame is a traceback."""
+class _OnLine:
+    """One end of a dialogue that a websocket carries."""
 
     def __init__(self, line: Line) -> None:
         self._line = line
+
+    def close(self) -> None:
+        """Close the websocket."""
+        self._line.close()
+
+
+class OpenPi(_OnLine):
+    """openpi: metadata first, then one answer to each observation; a text frame is a traceback."""
 
     def greet(self, deadline_s: float) -> None:
         """Take the server's metadata."""
@@ -64,7 +51,7 @@ class OpenPi:
     def _receive(self, deadline_s: float) -> dict[Any, Any]:
         message = self._line.receive(deadline_s)
         if isinstance(message, str):
-            raise _reported(message)
+            raise reported(message)
         return decode(message)
 
 
@@ -88,10 +75,11 @@ class _Messages:
         return kind.decode("utf-8", "replace") if isinstance(kind, bytes) else str(kind), message
 
 
-class VlaEval:
+class VlaEval(_OnLine):
     """vla-eval's model servers: every message has a number, which its answer repeats."""
 
     def __init__(self, line: Line) -> None:
+        super().__init__(line)
         self._messages = _Messages(line, binary_keys=False, png=True)
         self._seq = 0
 
@@ -127,15 +115,16 @@ class VlaEval:
         if not isinstance(payload, dict):
             raise violation(f"Expected a payload that is a map, got {type(payload).__name__}.")
         if kind == "error":
-            raise _reported(str(read_field(payload, "error")))
+            raise reported(str(read_field(payload, "error")))
         _check_answer(expected, kind, self._seq, read_field(message, "seq"))
         return payload
 
 
-class RobotBridge:
+class RobotBridge(_OnLine):
     """The 2026 edition's bridge, of which this is the robot's end: config, observations, actions, start and stop."""
 
     def __init__(self, line: Line) -> None:
+        super().__init__(line)
         self._messages = _Messages(line, binary_keys=True)
         self._obs_seq = 0
         self._started = False
@@ -192,11 +181,42 @@ class RobotBridge:
         return True
 
 
-DIALOGUES: Final[Mapping[RemoteProtocol, type[OpenPi | VlaEval | RobotBridge]]] = {
-    RemoteProtocol.OPENPI: OpenPi,
-    RemoteProtocol.VLA_EVAL: VlaEval,
-    RemoteProtocol.ROBOT_BRIDGE: RobotBridge,
-}
+def open_dialogue(address: str, server: RemoteServer, deadline_s: float) -> Dialogue:
+    """Return the dialogue with a policy server, or with the policy that dials us, before the greeting.
+
+    Args:
+        address: as `check_address` takes it.
+        server: what submission.yaml says of it.
+        deadline_s: by the monotonic clock; whoever is there may be starting.
+
+    Raises:
+        ExtraMissing: the protocol needs packages that are not installed.
+        LineLost, LineSilent: nobody is there.
+    """
+    match server.protocol:
+        case RemoteProtocol.OPENPI:
+            return OpenPi(Line.connect(address, deadline_s))
+        case RemoteProtocol.VLA_EVAL:
+            return VlaEval(Line.connect(address, deadline_s))
+        case RemoteProtocol.ROBOT_BRIDGE:
+            return RobotBridge(Line.accept(address, deadline_s))
+        case RemoteProtocol.LEROBOT:
+            require_extra("lerobot", "grpc", user="A policy server of LeRobot")
+            from .lerobot import LeRobot
+
+            return LeRobot(address, server, deadline_s)
+
+
+def check_address(address: str, protocol: RemoteProtocol) -> None:
+    """Make sure that an address names what speaks a protocol, and its port.
+
+    Raises:
+        AddressInvalid: it does not.
+    """
+    if protocol is not RemoteProtocol.LEROBOT:
+        check_websocket(address)
+    elif not _GRPC.fullmatch(address):
+        raise AddressInvalid(f"Expected an address such as grpc://127.0.0.1:8080, got {address!r}.")
 
 
 def _field(message: Mapping[Any, Any], name: str) -> object:
@@ -211,10 +231,3 @@ def _check_answer(expected: str, kind: str, seq: int, answered: object) -> None:
         raise violation(f"Expected the message {expected!r}, got {kind!r:.40}.")
     if answered != seq:
         raise violation(f"Expected the answer to question {seq}, got that to question {answered!r:.40}.")
-
-
-def _reported(text: str) -> PolicyFailed:
-    end = printable(text[-_ERROR_CHARACTERS:]).strip()
-    return PolicyFailed(
-        VerdictCode.CRASHED, f"The policy server reported an error: {end.rpartition(chr(10))[2]!r:.300}.", end
-    )

@@ -14,8 +14,9 @@ from ..agent.protocol.frames import CloudSpec, add_clouds, checked_action
 from ..agent.verdicts import EpisodeCut, PolicyFailed, VerdictCode
 from .codec import read_array
 from .description import RemoteServer
-from .line import Line, LineLost, LineSilent, check_address
-from .protocols import DIALOGUES, Dialogue
+from .dialogue import Dialogue
+from .line import LineLost, LineSilent
+from .protocols import check_address, open_dialogue
 
 _CUTS_MAX: Final = 3
 """Cuts of the line in a row after which an episode is not played again."""
@@ -30,7 +31,7 @@ class RemoteSession:
     from its start; the third in a row fails it. Until the first answer on a line the limits of the start hold.
 
     Args:
-        address: `ws://` or `wss://`; of this machine where the policy dials us.
+        address: `ws://`, `wss://` or `grpc://`; of this machine where the policy dials us.
         server: what submission.yaml says of it.
         limits: those by the clock hold for it.
 
@@ -41,12 +42,11 @@ class RemoteSession:
     isolation = None
 
     def __init__(self, address: str, server: RemoteServer, limits: Limits | None = None) -> None:
-        check_address(address)
+        check_address(address, server.protocol)
         self._address = address
         self._server = server
         self._limits = limits or Limits()
         self._time = ShardTime(self._limits)
-        self._line: Line | None = None
         self._dialogue: Dialogue | None = None
         self._cuts = 0
         self._has_answered = False
@@ -108,11 +108,9 @@ class RemoteSession:
         return (checked_action({"action": row}, action_shape) for row in rows[:execute])
 
     def _open(self) -> Dialogue:
-        protocol = self._server.protocol
         deadline_s = time.monotonic() + self._limits.start_wall_s
         try:
-            self._line = (Line.accept if protocol.dials else Line.connect)(self._address, deadline_s)
-            self._dialogue = DIALOGUES[protocol](self._line)
+            self._dialogue = open_dialogue(self._address, self._server, deadline_s)
             self._dialogue.greet(deadline_s)
         except BaseException as error:
             self._hang_up()
@@ -146,9 +144,9 @@ class RemoteSession:
             self._time.wall_s += time.monotonic() - started_s
 
     def _hang_up(self) -> None:
-        if self._line is not None:
-            self._line.close()
-        self._line = self._dialogue = None
+        if self._dialogue is not None:
+            self._dialogue.close()
+        self._dialogue = None
         self._has_answered = False
 
 

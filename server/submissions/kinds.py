@@ -15,7 +15,7 @@ from typing import Final
 from vitac.evaluator.agent.verdicts import EpisodeCut, PolicyFailed
 from vitac.evaluator.logs.findings import LogFinding
 from vitac.evaluator.remote.connection_test import test_connection
-from vitac.evaluator.remote.description import DIALS_IN, RemoteServer
+from vitac.evaluator.remote.description import DIALS_IN, RemoteProtocol, RemoteServer
 from vitac.evaluator.remote.line import AddressInvalid
 from vitac.evaluator.remote.relay import inner_address
 from vitac.evaluator.sensors.manifest import SensorRejected
@@ -154,6 +154,12 @@ def require_allowed(server: RemoteServer, settings: Settings, team: str) -> str:
     Raises:
         ServiceError: it has none, or another one.
     """
+    if server.protocol is RemoteProtocol.LEROBOT:
+        raise ServiceError(
+            ProblemCode.MANIFEST_REJECTED,
+            "submission.yaml has a policy server speak lerobot, whose messages are pickles, and a service reads none. "
+            "`vitac remote connect FOLDER --remote grpc://HOST:PORT` asks it on your machine.",
+        )
     if server.address == DIALS_IN:
         if not settings.remote_gate:
             raise ServiceError(

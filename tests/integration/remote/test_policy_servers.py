@@ -8,17 +8,20 @@ import sysconfig
 import time
 import venv
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.episodes.records import result_hash
 from vitac.evaluator.evaluation import serving
 from vitac.evaluator.evaluation.local import LocalEvaluation, evaluate
 from vitac.evaluator.logs.log import LogReader
 from vitac.evaluator.remote.description import RemoteServer
 from vitac.evaluator.remote.session import RemoteSession
+from vitac.evaluator.shards.policy import load_in_sandbox, load_remote
 from vitac.evaluator.submission.sources import staged
 from vitac.evaluator.tracks import load_track
 
@@ -64,6 +67,25 @@ class Served(PredictModelServer):
 
 serve(Served(), host="127.0.0.1", port=int(sys.argv[1]))
 """
+LEROBOT = """
+import sys
+import torch
+from lerobot.configs import FeatureType, PolicyFeature
+from lerobot.policies import ACTConfig, make_pre_post_processors
+from lerobot.policies.act.modeling_act import ACTPolicy
+
+torch.manual_seed(0)
+state, picture, action = (PolicyFeature(FeatureType[kind], shape) for kind, shape in
+    (("STATE", (4,)), ("VISUAL", (3, 64, 64)), ("ACTION", (4,))))
+seen = {"observation.state": state, "observation.images.wrist": picture}
+small = {"dim_model": 32, "n_heads": 2, "dim_feedforward": 64, "n_encoder_layers": 1, "use_vae": False}
+config = ACTConfig(input_features=seen, output_features={"action": action}, chunk_size=8, n_action_steps=8,
+    pretrained_backbone_weights=None, device="cpu", **small)
+ACTPolicy(config).save_pretrained(sys.argv[1])
+statistics = {name: {"mean": torch.zeros(4), "std": torch.ones(4)} for name in ("observation.state", "action")}
+for processors in make_pre_post_processors(config, dataset_stats=statistics):
+    processors.save_pretrained(sys.argv[1])
+"""
 
 
 @pytest.fixture(scope="module")
@@ -83,12 +105,17 @@ def make_python(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]
     return make
 
 
+def free_port() -> int:
+    with socket.socket() as sock:
+        sock.bind(("127.0.0.1", 0))
+        port: int = sock.getsockname()[1]
+    return port
+
+
 @contextlib.contextmanager
 def served(python: Path, program: str, folder: Path) -> Iterator[str]:
     """Serves the policy of the heuristic with a program on a free port."""
-    with socket.socket() as sock:
-        sock.bind(("127.0.0.1", 0))
-        port = sock.getsockname()[1]
+    port = free_port()
     script = folder / "serve.py"
     script.write_text(program)
     with (folder / "output").open("wb") as output:
@@ -161,7 +188,11 @@ def in_sandbox() -> LocalEvaluation:
 def test_own_policy_that_is_served_here_plays_with_the_hash_of_the_sandbox(
     in_sandbox: LocalEvaluation, tmp_path: Path
 ) -> None:
-    with staged(PEG_HEURISTIC) as submission, serving.served(submission) as address:
+    track = load_track("track_1")
+    with (
+        staged(PEG_HEURISTIC) as submission,
+        serving.served(track, partial(load_in_sandbox, submission, Limits(), track.packages)) as address,
+    ):
         assert play(described(tmp_path, "{protocol: vla-eval}"), address).result_hash == in_sandbox.result_hash
 
 
@@ -212,3 +243,52 @@ def test_vla_eval_server_sees_the_pixels_of_a_picture(vla_eval_python: Path, tmp
     ):
         action = policy.act({"rgb": picture})
     np.testing.assert_allclose(action, picture.mean(axis=(0, 1)) / 255, rtol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def lerobot_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
+    """LeRobot's own server, and a folder with an ACT of drawn weights, which it may load."""
+    python = os.environ.get("LEROBOT_PYTHON_V0_6")
+    if python is None:
+        pytest.skip(
+            "name a Python with `lerobot[async]` 0.6 in LEROBOT_PYTHON_V0_6: it needs 3.12 and torch of its own"
+        )
+    folder = tmp_path_factory.mktemp("lerobot")
+    subprocess.run([python, "-c", LEROBOT, str(folder / "act")], check=True, capture_output=True, cwd=folder)
+    command = [
+        python,
+        "-m",
+        "lerobot.async_inference.policy_server",
+        "--host=127.0.0.1",
+        f"--port={(port := free_port())}",
+    ]
+    with (folder / "output").open("wb") as output:
+        server = subprocess.Popen(command, stdout=output, stderr=output, cwd=folder)
+    yield f"grpc://127.0.0.1:{port}", folder / "act"
+    server.kill()
+    server.wait()
+
+
+def test_lerobots_server_plays_twice_alike_and_through_a_line_of_ours(
+    lerobot_server: tuple[str, Path], tmp_path: Path
+) -> None:
+    address, model = lerobot_server
+    names = "{observation.state: relative_motion, wrist: {key: rgb_picture, size: [64, 64]}}"
+    policy = f"{{type: act, path: '{model}'}}"
+    remote = f"{{protocol: lerobot, policy: {policy}, execute: 4, observations: {names}}}"
+    text = f"track: track_2\ntasks: [fusion-insertion]\nname: ACT\nremote: {remote}\n"
+    (tmp_path / "submission.yaml").write_text(text)
+    through = tmp_path / "through"
+    through.mkdir()
+    (through / "submission.yaml").write_text(text.replace(remote, "{protocol: vla-eval}"))
+    track = load_track("track_2")
+    task = track.tasks["fusion-insertion"]
+
+    def play_fusion(folder: Path, address: str) -> LocalEvaluation:
+        return evaluate(submission_dir=folder, track=track, task=task, episodes=EPISODES, remote=address)
+
+    direct = play_fusion(tmp_path, address)
+    assert direct.failure is None
+    assert play_fusion(tmp_path, address).result_hash == direct.result_hash is not None
+    with serving.served(track, partial(load_remote, tmp_path, Limits(), address)) as line:
+        assert play_fusion(through, line).result_hash == direct.result_hash

@@ -3,14 +3,17 @@
 import re
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 from cli_service import cli_service, submission_folder
 from gates import gate
+from lerobot_server import chunk, lerobot_names, lerobot_serving
 from policy_servers import ACTION, openpi, packed, serving
 from vitac.cli.client.remote import GateRefused, gate_address
 from vitac.server.operations.remote_gate import find_team
 
+__all__ = ["lerobot_names"]
 MANIFEST = """track: track_1
 tasks: [peg-insertion]
 name: dials in
@@ -72,6 +75,29 @@ def test_a_folders_own_policy_is_asked_where_it_is_and_its_digest_is_sent(tmp_pa
     assert identities[0] is not None
     assert identities[1] is not None
     assert identities[0][1] != identities[1][1]
+
+
+@pytest.mark.usefixtures("lerobot_names")
+def test_a_server_of_lerobot_is_asked_where_it_is_and_its_pickles_stay_there(tmp_path: Path) -> None:
+    remote = "remote: {protocol: lerobot, policy: {type: act, path: /model}, observations: {s: relative_motion}}"
+    folder = submission_folder(
+        tmp_path / "mine", MANIFEST.replace("remote: {protocol: openpi, address: connect}", remote)
+    )
+    heard: list[Any] = []
+    with (
+        gate(find=lambda secret: find_team(service.database, secret)) as (policies, players),
+        lerobot_serving(lambda asked: chunk(ACTION, asked.timestep), heard) as server,
+        cli_service(tmp_path / "state", remote_gate=players) as service,
+        service.playing(),
+    ):
+        done = service.run("remote", "connect", str(folder), "--remote", server, "--gate", policies)
+        assert done.exit_code == 0, done.output
+        assert "result hash" in done.stdout
+        refused = service.run("remote", "connect", str(folder), "--remote", server, "--lines", "2", "--gate", policies)
+        assert "one client at a time" in refused.output
+        refused = service.run("submit", str(folder))
+        assert "`vitac remote connect FOLDER --remote grpc://HOST:PORT`" in str(refused.exception)
+    assert {len(each.observation) for each in heard if hasattr(each, "observation")} == {5}  # four numbers and a task
 
 
 @pytest.mark.parametrize(

@@ -41,3 +41,15 @@ def test_even_picture_stays_even_at_every_size(size: tuple[int, int]) -> None:
     resized = resize(np.full((480, 640, 3), 200, np.uint8), size)
     assert resized.shape == (*size, 3)
     assert (resized == 200).all()
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"protocol": "lerobot"}, "needs a section `policy`"),
+        ({"policy": {"type": "act", "path": "/m"}}, "is for lerobot alone"),
+    ],
+)
+def test_what_a_server_loads_is_told_to_those_of_lerobot_alone(fields: dict[str, object], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        server(**fields)
