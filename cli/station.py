@@ -165,6 +165,54 @@ def run(
         work(services, StationShards(player).running_shard, families=(Family.STATION,), enrol=become_agent)
 
 
+@app.command("verify")
+def verify(
+    file: Annotated[Path, typer.Argument(help="Video of a trial.", exists=True, dir_okay=False)],
+    log: Annotated[
+        Path | None,
+        typer.Option(help="Log of the evaluation, whose record is compared.", exists=True, dir_okay=False),
+    ] = None,
+    episode: Annotated[
+        int | None, typer.Option(min=1, help="Which trial of the log it is to be; by default that with its code.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Find a cut, swapped, repeated, delayed or changed frame in the video of a trial."""
+    from vitac.envs.extras import require_extra
+    from vitac.evaluator.logs.log import LogReader
+    from vitac.station.verification import verify_video
+
+    from .rehearsal import STATION_MODULES
+
+    require_extra("station", *STATION_MODULES, user="A video of a trial")
+    findings = verify_video(file)
+    if log is not None:
+        with log.open("rb") as stream:
+            records = list(LogReader(stream).records())
+        of_trial = [
+            each
+            for each in records
+            if (each.episode == episode if episode else each.video is not None and each.video.code == findings.code)
+        ]
+        if of_trial:
+            findings = verify_video(file, of_trial[0])
+        else:
+            trial = episode or f"with the code {findings.code}"
+            findings.problems.append(f"The log has no trial {trial}: the video is of another one.")
+    if as_json:
+        print_json(asdict(findings))
+    else:
+        for problem in findings.problems:
+            print(problem)
+        seen = {True: "the overview camera saw it", False: "it is not seen as expected", None: "no camera looks at it"}
+        print(f"{findings.frames} frames of the trial with code {findings.code}; {seen[findings.shows_code]}.")
+        if not findings.problems:
+            against = "as the log has it" if log else "each frame follows the one before"
+            print(f"Nothing was cut, swapped, repeated, delayed or changed: {against}. Last link: {findings.link}")
+    if findings.problems:
+        raise typer.Exit(1)
+
+
 Ros = Annotated[int | None, typer.Option("--ros", min=1, max=2, help="Version of ROS: 1 or 2.")]
 Count = Annotated[int | None, typer.Option(min=1, help="End after as many; by default with Ctrl-C.")]
 

@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Final
 
 from pydantic import JsonValue
@@ -19,6 +20,7 @@ from vitac.evaluator.episodes.records import (
     FailureStage,
     PolicyFailure,
     Timings,
+    TrialEvidence,
     canonical_json,
 )
 from vitac.evaluator.scoring.failures import is_broken
@@ -73,6 +75,7 @@ class StationShard:
         self._failures = list(order.earlier_failures)
         self._is_killed = False
         self.packages: dict[str, str] | None = None
+        self.video: Path | None = None
 
     def kill(self) -> None:
         """Stop the station; the running trial has no record."""
@@ -95,10 +98,13 @@ class StationShard:
                     return
                 if episode.shape != shape:
                     raise TrialNotPlayed(f"Trial {episode.number} needs the {episode.shape}; the {shape} is mounted.")
-                (attempt,) = self._player.play(self._task, episode, reading, lambda: session)
+                (attempt,) = self._player.play(self._task, episode, reading, lambda: session, order.code)
                 if self._is_killed or not attempt.outcome.counts:
                     raise TrialNotPlayed(f"Trial {episode.number}: {attempt.outcome.sentence} {attempt.reason}")
-                record = make_record(self._task, episode, attempt)
+                if order.code is not None and attempt.video is None:
+                    raise TrialNotPlayed(f"Trial {episode.number} has no whole video. {attempt.reason}")
+                self.video = self._player.video_file if attempt.video else None
+                record = make_record(self._task, episode, attempt, self._player.description.name)
                 self._failures.extend([record.failure] if record.failure else [])
                 yield record
 
@@ -118,8 +124,8 @@ class StationShard:
         return [each for each in shard.episodes if each.number not in self._order.skip]
 
 
-def make_record(task: Task, episode: Episode, attempt: Attempt) -> EpisodeRecord:
-    """Return the record of a trial; a state hash covers what encoders and markers measured, and the hash before it."""
+def make_record(task: Task, episode: Episode, attempt: Attempt, station: str) -> EpisodeRecord:
+    """Return the record of a trial; a state hash covers what was measured, the video so far, and the hash before."""
     measured = [_measured(attempt, number) for number in range(len(attempt.actions) + 1)]
     return EpisodeRecord(
         episode=episode.number,
@@ -132,6 +138,7 @@ def make_record(task: Task, episode: Episode, attempt: Attempt) -> EpisodeRecord
         actions=ActionSequence.from_array(pack_actions(attempt)),
         state_hashes=tuple(_chained(measured)),
         infos=tuple(measured[1:]),
+        evidence=TrialEvidence(station=station, video=attempt.video, force=attempt.force),
         failure=_failure(attempt.failure),
         timings=Timings(policy_s=attempt.policy_s),
         output=attempt.output,
@@ -142,7 +149,8 @@ def _measured(attempt: Attempt, number: int) -> dict[str, JsonValue]:
     """Return what was measured after an env step; nothing where the motion was stopped or not made."""
     if number >= len(attempt.encoders):
         return {}
-    return {"encoders": list(attempt.encoders[number]), "movement_px": list(attempt.movement_px[number])}
+    mark: dict[str, JsonValue] = {"video": attempt.marks[number]} if attempt.marks else {}
+    return {"encoders": list(attempt.encoders[number]), "movement_px": list(attempt.movement_px[number]), **mark}
 
 
 def _chained(measured: list[dict[str, JsonValue]]) -> Iterator[str]:

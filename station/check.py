@@ -13,6 +13,7 @@ from .description import (
     DepthCameraSettings,
     ForceTorqueSettings,
     GripperSettings,
+    OverviewSettings,
     Procedure,
     StageSettings,
     StationDescription,
@@ -80,6 +81,8 @@ def check_station(description: StationDescription) -> Iterator[DeviceCheck]:
         devices["procedure"] = check_procedure(description.procedure, description.limits)
     if description.depth_camera is not None:
         devices["RGB-D camera"] = _check_depth_camera(description.depth_camera)
+    if description.overview is not None:
+        devices["overview camera"] = _check_overview(description.overview)
     for device, problems in devices.items():
         found = DeviceCheck(device=device, problems=tuple(_until_failure(problems)))
         yield found
@@ -96,6 +99,12 @@ def _until_failure(problems: Iterator[Problem]) -> Iterator[Problem]:
         yield Problem(rule=DeviceRule.FOUND, sentence=str(error))
     except VitacError as error:
         yield Problem(rule=DeviceRule.WORKS, sentence=str(error))
+
+
+def _check_overview(camera: OverviewSettings) -> Iterator[Problem]:
+    with cameras.UsbCamera("overview camera", camera.serial_number, camera.stream) as opened:
+        opened.read()
+    yield from ()
 
 
 def _check_tactile_camera(camera: TactileCameraDescription, between: GripperSettings) -> Iterator[Problem]:

@@ -64,6 +64,16 @@ class DepthCameraSettings(StrictModel):
     calibration: DepthCalibration
 
 
+class OverviewSettings(StrictModel):
+    """A camera that sees the whole platform, and beside it a screen with the code of each trial."""
+
+    serial_number: Word
+    stream: str | None = None
+    """Address of a stream of pictures in place of the USB camera, as a twin sends it."""
+    code_picture: Path | None = None
+    """Picture with the trial's code, which the agent writes for the screen."""
+
+
 class ForceTorqueCalibration(Calibration):
     """Calibration of a force/torque sensor, from its maker's certificate."""
 
@@ -230,6 +240,8 @@ class StationDescription(StrictModel):
     left: TactileCameraSettings
     right: TactileCameraSettings
     depth_camera: DepthCameraSettings | None = None
+    overview: OverviewSettings | None = None
+    """Its pictures are in the videos of trials."""
     force_torque: ForceTorqueSettings
     stage: StageSettings
     gripper: GripperSettings

@@ -21,6 +21,7 @@ from .devices.force_torque import ForceTorqueSensor
 from .devices.gripper import HandE
 from .devices.stage import DeviceFault, GrblState, LinearStage
 from .guard import Guard
+from .overview import Overview
 from .perception.markers import DROPPED_PICTURES, AssignedMarkerTracker, MarkerFlow, MarkerTracker
 from .perception.observation import DAMAGED_PART, Cells, find_changed_part, measure_brightness
 
@@ -89,6 +90,7 @@ class Eyes:
             hears from here that the station is alive.
         make_tracker: one for each sensor.
         stops_on_movement: whether a marker that moves too far stops the station.
+        pictures: last ones of both cameras, and their time [ns since 1970]; None before the first.
     """
 
     left: GelSightCamera
@@ -96,6 +98,7 @@ class Eyes:
     guard: Guard | None = None
     make_tracker: Callable[[], Tracker] = AssignedMarkerTracker
     stops_on_movement: bool = True
+    pictures: tuple[tuple[Picture, Picture], int] | None = None
     _count: int = 0
     _again: frozenset[Finger] = frozenset()
     _sight: SensorReading | None = None
@@ -192,6 +195,7 @@ class Eyes:
             except DeviceFault as error:
                 self._fail(error)
                 return
+            self.pictures = pictures, time_ns()
             left, right = (trackers[side].see(picture) for side, picture in zip(Finger, pictures, strict=True))
             if self.guard is not None:
                 self.guard.beat()
@@ -251,6 +255,7 @@ class OpenStation:
     guard: Guard
     eyes: Eyes
     depth_camera: AnyDepthCamera | None = None
+    overview: Overview | None = None
     thresholds_px: tuple[float, float] | None = None
 
 
@@ -280,6 +285,9 @@ def open_station(description: StationDescription) -> Iterator[OpenStation]:
         _make_ready(stage, gripper, box, description)
         guard = stack.enter_context(Guard(limits=description.limits, stage=stage, gripper=gripper, force_torque=box))
         eyes = stack.enter_context(Eyes(left=left, right=right, guard=guard))
+        overview = Overview(description.overview, guard) if description.overview else None
+        if overview is not None:
+            stack.enter_context(overview)
         yield OpenStation(
             description=description,
             procedure=description.procedure,
@@ -288,6 +296,7 @@ def open_station(description: StationDescription) -> Iterator[OpenStation]:
             guard=guard,
             eyes=eyes,
             depth_camera=depth_camera,
+            overview=overview,
         )
 
 

@@ -98,6 +98,7 @@ def check_grip(limits: StationLimits, position: int, speed: int, force: int) -> 
 
 _MEAN_OF: Final = 100
 """Frames of the force/torque sensor whose mean is taken for its present reading."""
+_FORCES: Final = 1_000_000
 
 
 class StationStopped(VitacError):
@@ -115,6 +116,7 @@ class Guard:
         force_torque: its stream has started.
         clock: the time that heartbeats are counted by.
         by_fault: whether a device's fault stopped it, rather than a limit.
+        forces_n: sizes of the last forces; whoever wants those of a time clears it at its start.
     """
 
     limits: StationLimits
@@ -123,6 +125,7 @@ class Guard:
     force_torque: ForceTorqueSensor
     clock: Callable[[], float] = monotonic
     by_fault: bool = False
+    forces_n: deque[float] = field(default_factory=lambda: deque(maxlen=_FORCES))
     _reason: str | None = None
     _heard_s: float = 0.0
     _over: Event = field(default_factory=Event)
@@ -250,6 +253,7 @@ class Guard:
                 for wrench in self.force_torque.read(timeout_s=self.limits.reading_s):
                     check_wrench(self.limits, wrench)
                     self._wrenches.append(wrench)
+                    self.forces_n.append(math.hypot(*wrench[:3]))
             except LimitPassed as error:
                 self.stop(str(error))
             except DeviceFault as error:

@@ -12,6 +12,8 @@ from vitac.envs.errors import VitacError
 from vitac.evaluator.agent.verdicts import PolicyFailed
 from vitac.evaluator.episodes.episode import OpenSession, Policy
 from vitac.evaluator.episodes.reading import Reading
+from vitac.evaluator.episodes.records import ForceFigures, TrialVideo
+from vitac.evaluator.episodes.traces import summarize_force
 from vitac.evaluator.tracks import Episode, Task
 
 from .arm import Arm, NoPeg, Offset
@@ -22,6 +24,7 @@ from .outcome import TrialOutcome
 from .perception.observation import NoMarkerFollowed, marker_flow
 from .perception.segmentation import NothingAtPrompt, SamMissing
 from .preflight import PreflightRefused, check_held, check_ready
+from .video import VideoRecorder
 
 _STILL_PICTURES: Final = 30
 _THRESHOLD_PX: Final = 0.15
@@ -57,6 +60,9 @@ class Attempt:
         output: what the policy printed.
         policy_s: CPU time of the policy.
         action_numbers: how many an action has.
+        marks: of the video at the times of `encoders`, where there is one.
+        video: None where none was recorded whole.
+        force: on the force/torque sensor, from the first contact on.
     """
 
     outcome: TrialOutcome = TrialOutcome.REFUSED
@@ -69,6 +75,9 @@ class Attempt:
     output: str = ""
     policy_s: float = 0.0
     action_numbers: int = 3
+    marks: list[dict[str, Any]] = field(default_factory=list)
+    video: TrialVideo | None = None
+    force: ForceFigures | None = None
 
 
 class Trial:
@@ -82,6 +91,7 @@ class Trial:
         open_session: gives the loaded policy.
         folder: where records are written.
         show: called with a word and what is seen, for pictures.
+        recorder: of the trial's video.
     """
 
     def __init__(
@@ -94,12 +104,13 @@ class Trial:
         open_session: OpenSession,
         folder: Path,
         show: Callable[[str, SensorReading], None] = lambda _word, _sight: None,
+        recorder: VideoRecorder | None = None,
     ) -> None:
         self._station, self._arm = station, Arm(station)
         self._task, self._reading, self._open_session = task, reading, open_session
         self._task_name = task.station_of or task.name
         self._start = self._find_start(episode)
-        self._folder, self._show = folder, show
+        self._folder, self._show, self._recorder = folder, show, recorder
         self._generator = np.random.default_rng((episode.list_seed, episode.number))
         self._z_step_mm = station.procedure.z_step_mm
         self._attempt = Attempt()
@@ -118,12 +129,14 @@ class Trial:
             attempt.outcome, attempt.reason, attempt.failure = TrialOutcome.POLICY_FAILED, failed.message, failed
         except (*_OUTCOMES, StationStopped, LimitPassed) as why:
             attempt.outcome, attempt.reason = self._outcome_of(why), str(why)
+        attempt.force = self._summarize_force()
         self._retreat()
         return attempt
 
     def _play(self) -> TrialOutcome:
         check_ready(self._station, self._folder)
         self._grasp()
+        self._station.guard.forces_n.clear()
         start_mm = self._approach()
         with self._open_session().episode(
             task=self._task_name, action_shape=(len(self._task.actions),), clouds=self._reading.clouds
@@ -132,6 +145,11 @@ class Trial:
                 return self._insert(policy, start_mm)
             finally:
                 self._attempt.output, self._attempt.policy_s = policy.output, policy.cpu_s
+
+    def _summarize_force(self) -> ForceFigures | None:
+        forces_n = list(self._station.guard.forces_n) if self._attempt.encoders else []
+        period_s = 1 / self._station.description.force_torque.rate_hz
+        return summarize_force(forces_n, [period_s] * len(forces_n)) if forces_n else None
 
     def _approach(self) -> float:
         """Go where the policy begins; return the stage's height at the contact [mm]."""
@@ -218,6 +236,8 @@ class Trial:
         sight = self._arm.settle()
         self._attempt.encoders.append(self._arm.pose())
         self._attempt.movement_px.append(sight.movement_px())
+        if self._recorder is not None:
+            self._attempt.marks.append(self._recorder.mark())
         return sight
 
     def _observe(self, sight: SensorReading) -> dict[str, NDArray[Any]]:

@@ -6,7 +6,7 @@ platform, so its start, range and rule of success are ours.
 
 import math
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import sleep
@@ -27,6 +27,7 @@ from .outcome import ATTEMPTS, TrialOutcome
 from .perception.segmentation import make_segmenter, object_points_m
 from .preflight import PreflightRefused
 from .trial import Attempt, Trial
+from .video import VideoRecorder
 
 HOLES_Y_MM: Final[Mapping[str, float]] = {"hexagon": HEXAGON_HOLE_Y_MM, "cuboid": 0.0}
 """Of the peg's own hole, from that of the cuboid, whose place the station's file has."""
@@ -135,14 +136,29 @@ class TrialPlayer:
     def __exit__(self, *_: object) -> None:
         self._close()
 
-    def play(self, task: Task, episode: Episode, reading: Reading, open_session: OpenSession) -> list[Attempt]:
-        """Play a trial until an attempt counts, at most `attempts` times, and return all of them."""
+    @property
+    def video_file(self) -> Path:
+        """Where the video of the last attempt is."""
+        return self.folder / "trial.mjpeg"
+
+    def play(
+        self, task: Task, episode: Episode, reading: Reading, open_session: OpenSession, code: str | None = None
+    ) -> list[Attempt]:
+        """Play a trial until an attempt counts, at most `attempts` times, and return all of them.
+
+        Args:
+            task: that is played.
+            episode: its start.
+            reading: what the policy observes.
+            open_session: gives the loaded policy.
+            code: one-time code of the trial; without one no video is recorded.
+        """
         played: list[Attempt] = []
         while len(played) < self.attempts and not (played and played[-1].outcome.counts):
             if self._stopped_for is not None:
                 self.make_safe(self._stopped_for)
                 self._stopped_for = None
-            played.append(self._attempt(task, episode, reading, open_session, len(played) + 1))
+            played.append(self._attempt(task, episode, reading, open_session, len(played) + 1, code))
         return played
 
     def stop(self, reason: str) -> None:
@@ -152,7 +168,13 @@ class TrialPlayer:
             station.guard.stop(reason)
 
     def _attempt(
-        self, task: Task, episode: Episode, reading: Reading, open_session: OpenSession, number: int
+        self,
+        task: Task,
+        episode: Episode,
+        reading: Reading,
+        open_session: OpenSession,
+        number: int,
+        code: str | None,
     ) -> Attempt:
         try:
             station = self._station = self._station or self._opened.enter_context(open_station(self.description))
@@ -161,15 +183,19 @@ class TrialPlayer:
             self._stopped_for = str(error)
             return Attempt(outcome=TrialOutcome.DEVICE_FAULT, reason=str(error))
         is_fusion = StationTask(task.station_of or task.name) is StationTask.FUSION
-        attempt = (FusionTrial if is_fusion else Trial)(
-            station,
-            task=task,
-            episode=episode,
-            reading=reading,
-            open_session=open_session,
-            folder=self.folder,
-            show=lambda word, sight: self.show(episode.number, number, word, sight),
-        ).play()
+        recorder = None if code is None else VideoRecorder(station, self.video_file, code)
+        with recorder or nullcontext():
+            attempt = (FusionTrial if is_fusion else Trial)(
+                station,
+                task=task,
+                episode=episode,
+                reading=reading,
+                open_session=open_session,
+                folder=self.folder,
+                show=lambda word, sight: self.show(episode.number, number, word, sight),
+                recorder=recorder,
+            ).play()
+        attempt.video = recorder.video if recorder else None
         if station.guard.reason is not None or attempt.outcome in _OPENED_AGAIN:
             self._stopped_for = attempt.reason
             self._close()

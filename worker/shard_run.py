@@ -20,6 +20,7 @@ from vitac.evaluator.submission.manifest import load_manifest
 from vitac.server.competitions.competition import find_stage
 from vitac.server.competitions.definition import StageRules
 from vitac.server.database.models import Submission
+from vitac.server.database.states import FileRole
 from vitac.server.errors import ServiceError
 from vitac.server.evaluations.episode_store import StoredEpisodes, store_episodes, stored_episodes
 from vitac.server.evaluations.lifecycle import finish_shard
@@ -115,6 +116,10 @@ class RunningShard(RunningProcess, Protocol):
     @property
     def packages(self) -> dict[str, str] | None:
         """Versions of the packages that the policy sees, by name; None where none runs, or before the first record."""
+
+    @property
+    def video(self) -> Path | None:
+        """The video of the last record's trial; None where it has none."""
 
     def records(self) -> Iterator[EpisodeRecord]:
         """Yield each record as soon as its episode is over."""
@@ -215,6 +220,8 @@ class ShardRun(LeasedRun[RunningShard]):
                 if number == 0:
                     self._packages = process.packages
                 self._advance()
+                if process.video is not None:
+                    self._keep_video(process.video, record)
                 store.add(record)
             return process.result if known is None else process.result.model_copy(update={"figures": known})
 
@@ -230,6 +237,17 @@ class ShardRun(LeasedRun[RunningShard]):
                     self._logger.warning("figures_not_measured", error=result.figures.problem)
             for file in files:
                 self._retry_storage(partial(self._database, partial(self._keep_file, file)))
+
+    def _keep_video(self, path: Path, record: EpisodeRecord) -> None:
+        """Store the video of a trial before its record names it."""
+        video = record.video
+        if video is not None:
+            facts = {"task": record.task, "episode": record.episode, "code": video.code}
+            name = f"trial-{record.task}-{record.episode}.mjpeg"
+            file = UploadedFile(
+                role=FileRole.VIDEO, path=path, sha256=video.sha256, n_bytes=video.n_bytes, name=name, facts=facts
+            )
+            self._retry_storage(partial(self._database, partial(self._keep_file, file)))
 
     def _keep_file(self, file: UploadedFile, session: Session) -> None:
         stored_files.store(session, self._services.blobs, file.path, file.sha256)
@@ -253,6 +271,7 @@ class ShardRun(LeasedRun[RunningShard]):
             episode_period_s=rules.episode_period_s,
             isolation=rules.isolation,
             remote=self._remote_address(path),
+            code=self._lease.code,
             track=self._lease.track,
             task=self._lease.task,
             evaluator_version=self._lease.evaluator_version,

@@ -31,7 +31,7 @@ from ..strict_model import StrictModel, Word
 
 NOT_HASHED: Final = frozenset({"timings", "output"})
 """Fields of a record that may differ when its episode is played again; never part of a digest or of a log."""
-_OMITTED: Final = frozenset({"picture", "forces"})
+_OMITTED: Final = frozenset({"picture", "forces", "evidence"})
 """Fields that the JSON of a record has only where there is a value."""
 StateHash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
@@ -177,13 +177,66 @@ class ContactForces(StrictModel):
     high_stretch: NonNegativeFloat
 
 
+class TrialVideo(StrictModel):
+    """The video of a trial (`station.video`): its one-time code, its frames, the last link of their chain, its file."""
+
+    code: str = Field(pattern=r"^[0-9A-F]{8,64}$")
+    frames: PositiveInt
+    link: StateHash
+    sha256: StateHash
+    n_bytes: PositiveInt
+
+
+class HelpKind(StrEnum):
+    """What a person did in a trial."""
+
+    REGRASP = "regrasp"
+    """Had the part grasped again before the policy began."""
+    PAUSE = "pause"
+    RELEASE = "release"
+    """Made the station safe after a stop before the trial."""
+    NOTE = "note"
+
+
+class HumanHelp(StrictModel):
+    """A person's help in a trial, or before it since the trial before.
+
+    Attributes:
+        at_s: when it began, from the start of the trial [s]; negative before it.
+        length_s: how long it took [s].
+        note: what the person wrote.
+    """
+
+    kind: HelpKind
+    at_s: float
+    length_s: NonNegativeFloat
+    note: str = Field(default="", max_length=500)
+
+
+class TrialEvidence(StrictModel):
+    """What a station recorded of a trial besides what its policy did.
+
+    Attributes:
+        station: by its name.
+        video: None where the station's trials have none.
+        force: on the force/torque sensor, from the first contact on.
+        help: of people.
+    """
+
+    station: Word
+    video: TrialVideo | None = None
+    force: ForceFigures | None = None
+    help: tuple[HumanHelp, ...] = ()
+
+
 class EpisodeRecord(StrictModel):
     """One finished episode.
 
     `state_hashes` has one entry after the reset and one after each env step; `infos` one entry per env step.
     `initial_offset` is in the units of the task's `offset_option` (mm and degrees). `output` is the end of what the
     policy printed meanwhile, for its team only. `picture` is of a task with cameras only, `forces` of one whose physics
-    reports them and of an episode with an env step; the record of another one does not have the key.
+    reports them and of an episode with an env step, `evidence` of a trial; the record of another one does not have the
+    key.
     """
 
     episode: PositiveInt
@@ -198,6 +251,7 @@ class EpisodeRecord(StrictModel):
     infos: tuple[dict[str, JsonValue], ...]
     picture: SampledPicture | None = None
     forces: ContactForces | None = None
+    evidence: TrialEvidence | None = None
     failure: PolicyFailure | None = None
     timings: Timings = Timings()
     output: str = ""
@@ -206,6 +260,11 @@ class EpisodeRecord(StrictModel):
     def success(self) -> bool:
         """Whether the task was solved."""
         return self.outcome is EpisodeOutcome.SUCCESS
+
+    @property
+    def video(self) -> TrialVideo | None:
+        """That of a trial on a station."""
+        return self.evidence.video if self.evidence else None
 
     @model_validator(mode="after")
     def _lengths_agree(self) -> Self:
@@ -295,10 +354,15 @@ def canonical_json(content: Mapping[str, Any]) -> bytes:
 
 def _hashed_part(record: EpisodeRecord) -> dict[str, Any]:
     pictures = {"picture": record.picture.model_dump(mode="json")} if record.picture else {}
-    return pictures | {
-        "episode": record.episode,
-        "actions": record.actions.model_dump(mode="json"),
-        "state_hashes": list(record.state_hashes),
-        "outcome": record.outcome.value,
-        "failure": record.failure.code.value if record.failure else None,
-    }
+    evidence = {"evidence": record.evidence.model_dump(mode="json")} if record.evidence else {}
+    return (
+        pictures
+        | evidence
+        | {
+            "episode": record.episode,
+            "actions": record.actions.model_dump(mode="json"),
+            "state_hashes": list(record.state_hashes),
+            "outcome": record.outcome.value,
+            "failure": record.failure.code.value if record.failure else None,
+        }
+    )

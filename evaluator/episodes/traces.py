@@ -8,7 +8,7 @@ means other states.
 """
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from math import ceil, fsum, sqrt
@@ -44,22 +44,23 @@ class ForceTrace:
         if not self.reports:
             return None
         part_n = [report.part_force_n for report in self.reports]
+        times_s = [report.time_step_s for report in self.reports]
         left_n, right_n = ([_size(report.gel_forces_n[side]) for report in self.reports] for side in (0, 1))
         return ContactForces(
-            part=self._figures(part_n),
-            gels=(self._figures(left_n), self._figures(right_n)),
+            part=summarize_force(part_n, times_s),
+            gels=(summarize_force(left_n, times_s), summarize_force(right_n, times_s)),
             over_force_n=self.over_force_n,
             over_force_events=sum(is_over for is_over, _ in groupby(force > self.over_force_n for force in part_n)),
             largest_stretch=max(report.largest_stretch for report in self.reports),
             high_stretch=max(report.high_stretch for report in self.reports),
         )
 
-    def _figures(self, forces_n: Sequence[float]) -> ForceFigures:
-        ordered = sorted(forces_n)
-        impulses = (force * report.time_step_s for force, report in zip(forces_n, self.reports, strict=True))
-        return ForceFigures(
-            peak_n=ordered[-1], p95_n=ordered[ceil(_HIGH * len(ordered)) - 1], impulse_n_s=fsum(impulses)
-        )
+
+def summarize_force(forces_n: Sequence[float], times_s: Iterable[float]) -> ForceFigures:
+    """Return the figures of a force from its sizes [N], each of which lasts for a time [s]; at least one."""
+    ordered = sorted(forces_n)
+    impulse_n_s = fsum(force * time for force, time in zip(forces_n, times_s, strict=True))
+    return ForceFigures(peak_n=ordered[-1], p95_n=ordered[ceil(_HIGH * len(ordered)) - 1], impulse_n_s=impulse_n_s)
 
 
 def _size(force_n: Sequence[float]) -> float:

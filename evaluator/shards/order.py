@@ -88,7 +88,8 @@ class ShardOrder(StrictModel):
     are what the standard estimator has learned of the sensor; without them it is calibrated first. `episode_period_s`
     is the time from the start of an episode to that of the next [s], and `isolation` what stands between policy and
     machine; without them what the machine is set to. `remote` is the address of a policy server that plays in place of
-    the submission's own code. A process of another `evaluator_version` than the given one refuses the order.
+    the submission's own code. A process of another `evaluator_version` than the given one refuses the order. `code` is
+    the one-time code of a trial on a station.
     """
 
     kind: SubmissionKind
@@ -107,6 +108,7 @@ class ShardOrder(StrictModel):
     episode_period_s: float | None = None
     isolation: IsolationKind | None = None
     remote: str | None = None
+    code: str | None = None
     skip: tuple[int, ...] = ()
     earlier_failures: tuple[PolicyFailure, ...] = ()
 

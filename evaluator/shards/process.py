@@ -152,7 +152,10 @@ class ShardProcess:
         order: what it has to do.
         packages: versions of the packages that its policy sees, by name; known before the first record. None where no
             policy runs.
+        video: of none of its episodes; trials on stations have one.
     """
+
+    video = None
 
     def __init__(
         self,

@@ -516,7 +516,7 @@ CREATE TABLE submission_files (
     CONSTRAINT ck_submission_files_sha256_is_sha256 CHECK (sha256 ~ '^[0-9a-f]{64}$'),
     CONSTRAINT ck_submission_files_is_not_empty CHECK (n_bytes > 0),
     CONSTRAINT fk_submission_files_submission_id FOREIGN KEY(submission_id) REFERENCES submissions (id) ON DELETE CASCADE,
-    CONSTRAINT ck_submission_files_role CHECK (role IN ('sensor', 'document', 'coefficients', 'figures'))
+    CONSTRAINT ck_submission_files_role CHECK (role IN ('sensor', 'document', 'coefficients', 'video', 'figures'))
 );
 CREATE TABLE action_traces (
     evaluation_id UUID NOT NULL,
@@ -696,6 +696,7 @@ CREATE TABLE shards (
     isolation TEXT,
     packages_digest VARCHAR(64),
     finding JSONB,
+    code VARCHAR(16),
     CONSTRAINT pk_shards PRIMARY KEY (id),
     CONSTRAINT uq_shards_evaluation_id_task_number_commitment UNIQUE (evaluation_id, task, number, commitment),
     CONSTRAINT ck_shards_has_episodes CHECK (cardinality(episodes) > 0),

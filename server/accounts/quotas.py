@@ -18,7 +18,7 @@ from ..competitions.competition import Competition
 from ..competitions.stages import Stage
 from ..database.clock import read_clock
 from ..database.models import ApiToken, Evaluation, PartialUpload, Submission, SubmissionFile, Team, TeamQuota
-from ..database.states import ACTIVE_EVALUATION_STATES, EvaluationState, Quota
+from ..database.states import ACTIVE_EVALUATION_STATES, EvaluationState, FileRole, Quota
 from ..database.stored_episodes import OF_EVALUATION
 from ..database.stored_uploads import HAS_NO_UPLOAD
 from ..errors import ProblemCode, ServiceError
@@ -207,6 +207,7 @@ def _stored_bytes(session: Session, team_id: UUID, now: datetime) -> int:
     others = select(SubmissionFile.sha256, SubmissionFile.n_bytes).join(
         Submission, Submission.id == SubmissionFile.submission_id
     )
+    others = others.where(SubmissionFile.role != FileRole.VIDEO)  # which the station has made
     stored = union(uploads, others.where(*own)).subquery()
     unfinished = select(func.sum(PartialUpload.total_bytes)).where(
         PartialUpload.team_id == team_id,

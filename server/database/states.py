@@ -54,6 +54,7 @@ class FileRole(StrEnum):
     SENSOR = "sensor"  # the sensor as it was made at the upload; only this is scored
     DOCUMENT = "document"  # the design document, as it was brought
     COEFFICIENTS = "coefficients"  # what the standard estimator learned of the sensor
+    VIDEO = "video"  # of a trial on a station
     FIGURES = "figures"  # the part of the sensor's figures that one shard has measured
 
 

@@ -15,6 +15,7 @@ from vitac.evaluator.tracks import ListKind
 from ..competitions.competition import find_stage
 from ..database.clock import read_clock
 from ..database.models import EpisodeResult, Evaluation, Submission
+from ..errors import ProblemCode, ServiceError
 from ..principals import Principal
 from ..queue.leases import Lease
 from ..queue.work import lock_held, note_progress
@@ -163,6 +164,8 @@ def store_episodes(
     if packages is not None:
         note_packages(session, lease, packages)  # It may lock the evaluation, which comes before its shards.
     lock_held(session, lease)
+    for record in by_number.values():
+        _require_code(lease, record)
     rows = {number: row_values(lease, record) for number, record in by_number.items()}
     added = session.scalars(_ADD_NEW, list(rows.values())).all()
     for number in rows.keys() - set(added):
@@ -272,6 +275,17 @@ def count_stored(session: Session, key: EpisodeKey) -> int:
 
 def _remove_nul(text: str) -> str:
     return text.replace("\0", "\N{REPLACEMENT CHARACTER}").encode("utf-8", "replace").decode("utf-8")
+
+
+def _require_code(lease: Lease, record: EpisodeRecord) -> None:
+    """Refuse the record of a trial whose video began with another code: it is of another attempt."""
+    code = record.video.code if record.video else None
+    if lease.code != code:
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST,
+            f"Trial {record.episode} was to show the code {lease.code}, its record names {code}: it is "
+            "of another trial, so it is not stored and the trial is played again.",
+        )
 
 
 def _compare_with_stored(session: Session, lease: Lease, record: EpisodeRecord, digest: str) -> None:

@@ -1,5 +1,6 @@
 """Leases on what evaluations are made of: what a worker needs for it, and how a shard ends. `work` has the rest."""
 
+import secrets
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -13,9 +14,11 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from .. import traces
 from ..database.clock import read_clock
 from ..database.locks import lock_evaluation
-from ..database.models import Evaluation, SensorCheck, Shard, SubmissionFile
+from ..database.models import Evaluation, SensorCheck, Shard, SubmissionFile, Trial
 from ..database.states import EvaluationState, FileRole, WorkState
 from .work import Claim, end, lock_held, lost
+
+_CODE_BYTES = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +28,7 @@ class Lease(Claim):
     Attributes:
         commitment: of the sealed list that is played; None for the public one.
         traceparent: trace of the request that its evaluation began in.
+        code: one-time code of a trial, which its video shows; None elsewhere.
     """
 
     evaluation_id: UUID
@@ -41,6 +45,7 @@ class Lease(Claim):
     number: int
     episodes: tuple[int, ...]
     traceparent: str | None = None
+    code: str | None = None
 
 
 _SENSOR = select(SubmissionFile.sha256).where(
@@ -71,6 +76,9 @@ def begin(session: Session, claim: Claim) -> Lease:
         lock_held(session, claim)
         evaluation.state = EvaluationState.RUNNING
         evaluation.started_at = read_clock(session)
+    if isinstance(shard, Trial):
+        lock_held(session, claim)
+        shard.code = secrets.token_hex(_CODE_BYTES).upper()
     return Lease(
         **vars(claim),
         evaluation_id=evaluation.id,
@@ -87,6 +95,7 @@ def begin(session: Session, claim: Claim) -> Lease:
         number=shard.number,
         episodes=tuple(shard.episodes),
         traceparent=evaluation.traceparent if traces.are_asked_for() else None,
+        code=shard.code,
     )
 
 

@@ -182,13 +182,16 @@ _FROZEN_PICTURES: Final = 10
 """A camera's noise makes every picture differ, so equal ones are a frozen stream."""
 
 
-class GelSightCamera:
+class UsbCamera:
     """An open camera; use it in `with`."""
 
-    def __init__(self, serial_number: str, *, stream: str | None = None, cameras: Path = _SYSTEM_CAMERAS) -> None:
+    def __init__(
+        self, name: str, serial_number: str, stream: str | None = None, cameras: Path = _SYSTEM_CAMERAS
+    ) -> None:
         """Open the camera with a serial number, or a stream in its place.
 
         Args:
+            name: for messages.
             serial_number: as on its label, 28F0-GX7F.
             stream: address that OpenCV reads in place of the USB camera.
             cameras: where the kernel lists cameras.
@@ -196,7 +199,7 @@ class GelSightCamera:
         Raises:
             DeviceNotFound: no such camera, or it cannot be opened.
         """
-        self._name = f"tactile camera {serial_number}"
+        self._name = name
         self._capture = _open(stream or find_camera(serial_number, cameras), self._name)
         self._last: Picture | None = None
         self._equal = 0
@@ -222,6 +225,14 @@ class GelSightCamera:
             raise DeviceFault(f"The {self._name} is frozen: {self._equal + 1} equal pictures. Plug it in again.")
         self._last = np.asarray(picture, dtype=np.uint8)
         return self._last
+
+
+class GelSightCamera(UsbCamera):
+    """An open tactile camera; use it in `with`."""
+
+    def __init__(self, serial_number: str, *, stream: str | None = None, cameras: Path = _SYSTEM_CAMERAS) -> None:
+        """Open it as any camera."""
+        super().__init__(f"tactile camera {serial_number}", serial_number, stream, cameras)
 
 
 def find_camera(serial_number: str, cameras: Path = _SYSTEM_CAMERAS) -> str:

@@ -28,6 +28,7 @@ from .gel_view import SMALL_CAMERA, marker_grid
 from .grasp import CUBOID_PEG, Mounted
 from .gripper import GripperTwin
 from .hidden import FaultScript, HiddenSettings, TwinFault
+from .overview import OverviewTwin
 from .pictures import CameraTwin
 from .stage import StageTwin
 
@@ -102,6 +103,7 @@ _PLAYING_LIMITS: Final[dict[str, Any]] = {
     "reading_s": 5.0,  # its process shares cores with the station
     "heartbeat_s": 5.0,
 }
+_OVERVIEW_PERIOD_S: Final = 0.1
 _PROMPTS: Final = {"peg": [346, 290], "base": [342, 225]}
 
 
@@ -154,9 +156,21 @@ def playing_station(bench: Bench) -> Iterator[TwinStation]:
             "release": "automatic",
             "latency_s": 0.12 + 2 * bench.period_s,
         }
+        _add_overview(station, bench, stack)
         if bench.depth_camera is not None:
             _add_depth_camera(station.description, stack.enter_context(bench.depth_camera))
         yield station
+
+
+def _add_overview(station: TwinStation, bench: Bench, stack: ExitStack) -> None:
+    code = Path(stack.enter_context(TemporaryDirectory(prefix="vitac-twin-"))) / "code.png"
+    view = OverviewTwin(bench.stage, lambda: bench.held is not None, HOLE[2], code)
+    camera = stack.enter_context(CameraTwin(picture=view, period_s=_OVERVIEW_PERIOD_S))
+    station.description["overview"] = {
+        "serial_number": "OVERVIEW-1",
+        "stream": camera.stream,
+        "code_picture": str(code),
+    }
 
 
 def _add_depth_camera(description: dict[str, Any], camera: DepthCameraTwin) -> None:

@@ -196,6 +196,7 @@ class Shard(Work):
     isolation: Mapped[str | None]
     packages_digest: Mapped[str | None] = mapped_column(String(64))
     finding: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
+    code: Mapped[str | None] = mapped_column(String(16))
     evaluation: Mapped[Evaluation] = relationship(back_populates="shards")
     __mapper_args__ = {"polymorphic_identity": WorkKind.SHARD}  # noqa: RUF012 - SQLAlchemy reads it
 
@@ -206,7 +207,7 @@ class Shard(Work):
 
 
 class Trial(Shard):
-    """A shard that a station plays on its platform."""
+    """A shard that a station plays on its platform; `code` is what its present attempt shows to a camera."""
 
     __mapper_args__ = {"polymorphic_identity": WorkKind.TRIAL}  # noqa: RUF012 - SQLAlchemy reads it
 

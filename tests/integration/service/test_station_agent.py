@@ -21,13 +21,15 @@ from vitac.cli.client.http import Client
 from vitac.cli.client.submit import packed
 from vitac.cli.demo.laboratory import TRACK, made_for_station
 from vitac.envs.geometry.pegs import PegShape
+from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.server.accounts import stations
-from vitac.server.database.models import EpisodeResult, Shard, Station, Worker
-from vitac.server.database.states import WorkState
+from vitac.server.database.models import EpisodeResult, Shard, Station, SubmissionFile, Worker
+from vitac.server.database.states import FileRole, WorkState
 from vitac.server.principals import CONSOLE
 from vitac.station.description import make_station_track
 from vitac.station.twin.hidden import PUBLIC_SETTINGS
 from vitac.station.twin.laboratory import TwinStation, twin_process, twin_station
+from vitac.station.verification import verify_video
 from worker_fakes import eventually
 
 MAIN = "import sys; from vitac.cli.main import main; main(sys.argv[1:])"
@@ -180,6 +182,17 @@ def submission(folder: Path, act: str) -> Path:
     return folder
 
 
+def check_video(laboratory: Laboratory, record: dict[str, Any]) -> None:
+    """The stored video shows the code that the trial got, and is the one that the record names."""
+    file = laboratory.folder / "trial.mjpeg"
+    with laboratory.service.database.transaction() as session:
+        stored = session.scalars(select(SubmissionFile).where(SubmissionFile.role == FileRole.VIDEO)).all()[-1]
+    file.write_bytes(laboratory.service.blobs.read(stored.sha256))
+    found = verify_video(file, EpisodeRecord.model_validate(record))
+    assert (found.problems, found.code, found.shows_code) == ([], laboratory.shard().code, True)
+    assert record["evidence"]["force"]["peak_n"] > 0
+
+
 @pytest.mark.slow
 def test_agent_outlives_bad_policies_and_loses_no_trial_when_it_is_stopped_or_killed(
     laboratory: Laboratory, repository: Path
@@ -204,5 +217,6 @@ def test_agent_outlives_bad_policies_and_loses_no_trial_when_it_is_stopped_or_ki
         with running_agent(laboratory):
             record = laboratory.record()
         assert record["outcome"] == "success"
+        check_video(laboratory, record)
         played = laboratory.shard()
         assert [each["cause"] for each in played.repeats] == ["lost"], played.repeats

@@ -42,6 +42,7 @@ class CliService:
     address: str
     database: Database
     environment: dict[str, str]
+    blobs: BlobStore
 
     @contextmanager
     def playing(self) -> Iterator[None]:
@@ -111,7 +112,7 @@ def cli_service(state_dir: Path, team: str = "Team A", **values: Any) -> Iterato
                 "COLUMNS": "200",
                 "XDG_CONFIG_HOME": str(state_dir / "config"),
             }
-            yield CliService(address=address, database=database, environment=environment)
+            yield CliService(address=address, database=database, environment=environment, blobs=services.blobs)
 
 
 def submission_folder(path: Path, manifest: str = MANIFEST) -> Path:

@@ -95,7 +95,7 @@ def test_record_of_a_trial_has_what_was_measured_and_nothing_where_the_motion_wa
     attempt = Attempt(
         outcome=TrialOutcome.TACTILE, actions=actions, encoders=poses, movement_px=[(0.1, 0.2), (3.0, 4.0)]
     )
-    record = make_record(TASK, EPISODE, attempt)
+    record = make_record(TASK, EPISODE, attempt, "lab")
     assert (record.outcome, record.env_steps, record.initial_offset) == (EpisodeOutcome.TACTILE, 2, (1.0, 2.0, 3.0))
     assert record.infos == ({"encoders": [0.5, 1.5, -40.2, 2.0], "movement_px": [3.0, 4.0]}, {})
     assert len(set(record.state_hashes)) == 3
@@ -103,7 +103,7 @@ def test_record_of_a_trial_has_what_was_measured_and_nothing_where_the_motion_wa
 
 def test_failure_of_a_policy_is_in_its_record() -> None:
     failed = PolicyFailed(VerdictCode.NON_FINITE_ACTION, "The action holds NaN.")
-    record = make_record(TASK, EPISODE, Attempt(outcome=TrialOutcome.POLICY_FAILED, failure=failed))
+    record = make_record(TASK, EPISODE, Attempt(outcome=TrialOutcome.POLICY_FAILED, failure=failed), "lab")
     assert record.failure is not None
     assert (record.failure.code, record.env_steps) == (VerdictCode.NON_FINITE_ACTION, 0)
 
@@ -113,7 +113,7 @@ class Attempts:
 
     def __init__(self, *outcomes: TrialOutcome) -> None:
         self.outcomes, self.played, self.stopped = list(outcomes), list[int](), list[str]()
-        self.description = SimpleNamespace(procedure=SimpleNamespace(shape="cuboid"))
+        self.description = SimpleNamespace(name="lab", procedure=SimpleNamespace(shape="cuboid"))
         self.stop = self.stopped.append
 
     def play(self, _: object, episode: Episode, *__: object) -> list[Attempt]:
@@ -122,7 +122,7 @@ class Attempts:
 
 
 def running(
-    player: Any, shape: str, repository: Path, monkeypatch: pytest.MonkeyPatch, skip: int = 0
+    player: Any, shape: str, repository: Path, monkeypatch: pytest.MonkeyPatch, skip: int = 0, code: str | None = None
 ) -> AbstractContextManager[StationShard]:
     """A shard of the first two starts of a shape; as many as `skip` says have a record."""
     monkeypatch.setattr(agent, "load_in_sandbox", lambda *_: nullcontext(SimpleNamespace(isolation=None)))
@@ -136,6 +136,7 @@ def running(
         shard=0,
         episodes=numbers,
         skip=numbers[:skip],
+        code=code,
     )
     return StationShards(player).running_shard(order)
 
@@ -162,6 +163,14 @@ def test_trial_that_does_not_count_or_cannot_be_played_has_no_record(
     with (
         running(Attempts(outcome), shape, repository, monkeypatch) as shard,
         pytest.raises(TrialNotPlayed, match=sentence),
+    ):
+        next(shard.records())
+
+
+def test_trial_whose_video_is_not_whole_has_no_record(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with (
+        running(Attempts(T), "cuboid", repository, monkeypatch, code="0" * 16) as shard,
+        pytest.raises(TrialNotPlayed, match="Trial 1 has no whole video"),
     ):
         next(shard.records())
 
