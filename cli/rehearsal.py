@@ -1,7 +1,9 @@
 """`vitac evaluate --station`: plays a submission on a station or its twin, and shows the outcome of each trial."""
 
+import threading
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +15,9 @@ from .terminal.output import print_table
 if TYPE_CHECKING:
     from vitac.station.description import StationDescription
     from vitac.station.eyes import SensorReading
+    from vitac.station.operators import Operator
     from vitac.station.rehearsal import RehearsalReport, TrialRecord
+    from vitac.station.trials import TrialPlayer
 
 STATION_MODULES = ("cv2", "pymodbus", "serial")
 """What every station and twin needs, some of it in a process of its own."""
@@ -47,10 +51,12 @@ def rehearse_submission(
             TrialPlayer(
                 description=description,
                 folder=folder,
-                make_safe=make_safe(description),
+                operator=make_operator(description),
                 show=album.show if album else no_pictures,
             ) as player,
+            serving_console(player) as console,
         ):
+            typer.echo(f"Console: {console}", err=True)
             trials = rehearse(player, staged_folder, track, episodes=episodes, on_trial=print_trial)
         report = RehearsalReport.from_trials(
             trials,
@@ -137,11 +143,24 @@ def no_pictures(_episode: int, _attempt: int, _word: str, _sight: "SensorReading
     """Show nothing."""
 
 
-def make_safe(description: "StationDescription") -> "Callable[[str], None]":
-    """Return who lets the station move again after a stop: time at a twin, otherwise the operator at this terminal."""
+def make_operator(description: "StationDescription") -> "Operator":
+    """Return the people at a console; they are asked unless the station's file says that it is released by itself."""
     from vitac.station.description import Release
-    from vitac.station.trials import wait_a_moment
+    from vitac.station.operators import Operator
 
-    if description.procedure is not None and description.procedure.release is Release.AUTOMATIC:
-        return wait_a_moment
-    return lambda reason: print(input(f"{reason}\nMake the station safe, then press Enter. "), end="")
+    return Operator(asks=description.procedure is None or description.procedure.release is not Release.AUTOMATIC)
+
+
+@contextmanager
+def serving_console(player: "TrialPlayer", port: int = 0) -> Iterator[str]:
+    """Serve the console of a player's station on this machine; yield its address."""
+    from vitac.station.console.server import ConsoleServer
+
+    with ConsoleServer(player, port) as server:
+        thread = threading.Thread(target=server.serve_forever, name="console of the station", daemon=True)
+        thread.start()
+        try:
+            yield server.address
+        finally:
+            server.shutdown()
+            thread.join()

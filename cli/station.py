@@ -130,6 +130,11 @@ def run(
     file: Annotated[Path, typer.Argument(help="Description of the station (YAML).", exists=True, dir_okay=False)],
     key_file: Annotated[Path, typer.Option("--key", help="File with the station's key.", exists=True, dir_okay=False)],
     pictures: Annotated[Path | None, typer.Option(help="Write pictures of both gels here.")] = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Of the console; 0 for any that is free.")] = 0,
+    console: Annotated[
+        Path | None,
+        typer.Option(help="File for the console's address, which only this user reads; else it is printed."),
+    ] = None,
 ) -> None:
     """Play the trials of the service on a station until Ctrl-C or SIGTERM, which gives the running trial back."""
     from vitac.envs.tasks.definition import Family
@@ -141,7 +146,7 @@ def run(
     from vitac.station.trials import TrialPlayer
     from vitac.worker.main import work
 
-    from .rehearsal import Album, make_safe, no_pictures
+    from .rehearsal import Album, make_operator, no_pictures, serving_console
     from .service.database import load_settings
     from .service.web_server import configure_events
 
@@ -150,9 +155,14 @@ def run(
     configure_events(sys.stderr, settings.log_format)
     key, show = key_file.read_text(encoding="utf-8").strip(), Album(pictures).show if pictures else no_pictures
     player = TrialPlayer(
-        description=description, folder=settings.scratch_dir, make_safe=make_safe(description), attempts=1, show=show
+        description=description,
+        folder=settings.scratch_dir,
+        operator=make_operator(description),
+        attempts=1,
+        show=show,
     )
-    with open_services(settings, may_run_database=False) as services, player:
+    with player, serving_console(player, port) as address, open_services(settings, may_run_database=False) as services:
+        _give_address(address, console)
 
         def become_agent(worker_id: UUID) -> str:
             """Take the station's key before the first byte to its devices: another agent may be playing on them."""
@@ -163,6 +173,16 @@ def run(
             return station
 
         work(services, StationShards(player).running_shard, families=(Family.STATION,), enrol=become_agent)
+
+
+def _give_address(address: str, file: Path | None) -> None:
+    """Give the console's address to who may operate the station; whoever has it, may."""
+    if file is None:
+        typer.echo(f"Console: {address}", err=True)
+        return
+    file.unlink(missing_ok=True)
+    file.touch(mode=0o600)
+    file.write_text(f"{address}\n", encoding="utf-8")
 
 
 @app.command("verify")

@@ -60,6 +60,7 @@ class StationShards:
     @contextmanager
     def running_shard(self, order: ShardOrder) -> Iterator["StationShard"]:
         """Return a shard whose trials are played as its records are asked for."""
+        self._player.operator.open()
         yield StationShard(self._player, order)
 
 
@@ -76,6 +77,11 @@ class StationShard:
         self._is_killed = False
         self.packages: dict[str, str] | None = None
         self.video: Path | None = None
+
+    @property
+    def awaits_person(self) -> bool:
+        """Whether an operator is asked or has paused the station."""
+        return self._player.operator.is_awaited
 
     def kill(self) -> None:
         """Stop the station; the running trial has no record."""
@@ -138,7 +144,7 @@ def make_record(task: Task, episode: Episode, attempt: Attempt, station: str) ->
         actions=ActionSequence.from_array(pack_actions(attempt)),
         state_hashes=tuple(_chained(measured)),
         infos=tuple(measured[1:]),
-        evidence=TrialEvidence(station=station, video=attempt.video, force=attempt.force),
+        evidence=TrialEvidence(station=station, video=attempt.video, force=attempt.force, help=attempt.help),
         failure=_failure(attempt.failure),
         timings=Timings(policy_s=attempt.policy_s),
         output=attempt.output,

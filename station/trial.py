@@ -1,9 +1,10 @@
 """Plays one trial on a station by the challenge's procedure."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from time import monotonic
 from typing import Any, Final
 
 import numpy as np
@@ -12,7 +13,7 @@ from vitac.envs.errors import VitacError
 from vitac.evaluator.agent.verdicts import PolicyFailed
 from vitac.evaluator.episodes.episode import OpenSession, Policy
 from vitac.evaluator.episodes.reading import Reading
-from vitac.evaluator.episodes.records import ForceFigures, TrialVideo
+from vitac.evaluator.episodes.records import ForceFigures, HelpKind, HumanHelp, TrialVideo
 from vitac.evaluator.episodes.traces import summarize_force
 from vitac.evaluator.tracks import Episode, Task
 
@@ -20,6 +21,7 @@ from .arm import Arm, NoPeg, Offset
 from .devices.stage import DeviceFault, Pose
 from .eyes import OpenStation, SensorReading
 from .guard import LARGEST_RADIUS_MM, LARGEST_THETA_DEG, LimitPassed, StationStopped
+from .operators import Decision, Operator
 from .outcome import TrialOutcome
 from .perception.observation import NoMarkerFollowed, marker_flow
 from .perception.segmentation import NothingAtPrompt, SamMissing
@@ -37,6 +39,8 @@ _LARGE_MOVEMENT_PX: Final = 1.5
 _PUSH_FACTOR: Final = 5.0
 _SUCCESS_DEPTH_MM: Final = 0.35
 _PAUSE_S: Final = 0.5
+_CHECKLIST: Final = ("The peg is in its garage.", "The gels are clean.", "Nobody is in reach.")
+_GRASP_CHECKLIST: Final = ("The peg stands straight between the gels.", "It touches nothing else.")
 
 Pair = tuple[float, float]
 
@@ -63,6 +67,7 @@ class Attempt:
         marks: of the video at the times of `encoders`, where there is one.
         video: None where none was recorded whole.
         force: on the force/torque sensor, from the first contact on.
+        help: of people.
     """
 
     outcome: TrialOutcome = TrialOutcome.REFUSED
@@ -78,6 +83,7 @@ class Attempt:
     marks: list[dict[str, Any]] = field(default_factory=list)
     video: TrialVideo | None = None
     force: ForceFigures | None = None
+    help: tuple[HumanHelp, ...] = ()
 
 
 class Trial:
@@ -92,6 +98,7 @@ class Trial:
         folder: where records are written.
         show: called with a word and what is seen, for pictures.
         recorder: of the trial's video.
+        operator: who may step in.
     """
 
     def __init__(
@@ -105,12 +112,14 @@ class Trial:
         folder: Path,
         show: Callable[[str, SensorReading], None] = lambda _word, _sight: None,
         recorder: VideoRecorder | None = None,
+        operator: Operator | None = None,
     ) -> None:
         self._station, self._arm = station, Arm(station)
         self._task, self._reading, self._open_session = task, reading, open_session
         self._task_name = task.station_of or task.name
         self._start = self._find_start(episode)
         self._folder, self._show, self._recorder = folder, show, recorder
+        self._operator = operator or Operator(asks=False)
         self._generator = np.random.default_rng((episode.list_seed, episode.number))
         self._z_step_mm = station.procedure.z_step_mm
         self._attempt = Attempt()
@@ -134,8 +143,19 @@ class Trial:
         return attempt
 
     def _play(self) -> TrialOutcome:
-        check_ready(self._station, self._folder)
+        operator = self._operator
+        findings = check_ready(self._station, self._folder)
+        if operator.asks:
+            ready = "The station is ready for the trial. Accepted, it begins to move."
+            self._ask(ready, _CHECKLIST, measured=[f"{each.name}: {each.value}" for each in findings])
+        operator.wait_while_paused("The peg is fetched, grasped and looked at.")
         self._grasp()
+        while operator.asks and self._ask_about_grasp() is Decision.REGRASP:
+            began = monotonic()
+            self._station.thresholds_px = None
+            self._grasp()
+            operator.note_help(HelpKind.REGRASP, began)
+        operator.wait_while_paused("The peg comes down until a gel feels the plate.")
         self._station.guard.forces_n.clear()
         start_mm = self._approach()
         with self._open_session().episode(
@@ -145,6 +165,21 @@ class Trial:
                 return self._insert(policy, start_mm)
             finally:
                 self._attempt.output, self._attempt.policy_s = policy.output, policy.cpu_s
+
+    def _ask(self, text: str, checklist: Sequence[str], *decisions: Decision, measured: Sequence[str] = ()) -> Decision:
+        """Return what an operator decides.
+
+        Raises:
+            PreflightRefused: the operator refused, for the reason in the note.
+        """
+        answer, note = self._operator.ask(text, (Decision.ACCEPT, *decisions, Decision.REFUSE), checklist, measured)
+        if answer is Decision.REFUSE:
+            raise PreflightRefused(f"An operator refused the trial: {note}")
+        return answer
+
+    def _ask_about_grasp(self) -> Decision:
+        held = "The peg hangs in free air. Accepted, the policy begins."
+        return self._ask(held, _GRASP_CHECKLIST, Decision.REGRASP)
 
     def _summarize_force(self) -> ForceFigures | None:
         forces_n = list(self._station.guard.forces_n) if self._attempt.encoders else []
@@ -215,6 +250,7 @@ class Trial:
         attempt, arm, offset = self._attempt, self._arm, self._start
         sight = self._look()
         while len(attempt.actions) < self._task.max_steps:
+            self._wait_before_step()
             action = policy.act(self._observe(sight))
             offset = self._moved(offset, action)
             attempt.actions.append(np.array(action, dtype=np.float32))
@@ -231,6 +267,9 @@ class Trial:
             if depth_mm > _SUCCESS_DEPTH_MM and self._is_relaxed() and self._passes_push_test(sight):
                 return TrialOutcome.SUCCESS
         return TrialOutcome.STEPS
+
+    def _wait_before_step(self) -> None:
+        self._operator.wait_while_paused(f"Env step {len(self._attempt.actions) + 1} of {self._task.max_steps}.")
 
     def _look(self) -> SensorReading:
         sight = self._arm.settle()

@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
-from time import sleep
 from typing import Any, Final, Self
 
 import numpy as np
@@ -23,6 +22,7 @@ from .arm import Offset
 from .description import StationDescription, StationTask
 from .devices.stage import DeviceFault, DeviceNotFound
 from .eyes import OpenStation, SensorReading, open_station
+from .operators import Operator
 from .outcome import ATTEMPTS, TrialOutcome
 from .perception.segmentation import make_segmenter, object_points_m
 from .preflight import PreflightRefused
@@ -60,6 +60,7 @@ class FusionTrial(Trial):
         attempt, arm, offset, height_mm = self._attempt, self._arm, self._start, start_mm
         sight = self._look()
         while len(attempt.actions) < self._task.max_steps:
+            self._wait_before_step()
             action = policy.act(self._observe(sight))
             offset, height_mm = self._moved(offset, action), height_mm + self._scaled(action)[3]
             attempt.actions.append(np.array(action, dtype=np.float32))
@@ -98,15 +99,7 @@ class FusionTrial(Trial):
         return values
 
 
-_PAUSE_S: Final = 2.0
-"""After a stop, where nobody has to release the station."""
-
 Show = Callable[[int, int, str, SensorReading], None]
-
-
-def wait_a_moment(_: str) -> None:
-    """Release a station by itself after a moment, as twins are."""
-    sleep(_PAUSE_S)
 
 
 @dataclass(kw_only=True)
@@ -116,14 +109,14 @@ class TrialPlayer:
     Attributes:
         description: of the station.
         folder: where records are written.
-        make_safe: called with the reason after a stop; returns when the station may move again.
+        operator: who may step in, and whom it asks before it moves again after a stop.
         attempts: at a trial.
         show: called with episode, attempt, a word and what is seen.
     """
 
     description: StationDescription
     folder: Path
-    make_safe: Callable[[str], None] = wait_a_moment
+    operator: Operator = field(default_factory=lambda: Operator(asks=False))
     attempts: int = ATTEMPTS
     show: Show = lambda _episode, _attempt, _word, _sight: None
     _opened: ExitStack = field(default_factory=ExitStack)
@@ -155,14 +148,33 @@ class TrialPlayer:
         """
         played: list[Attempt] = []
         while len(played) < self.attempts and not (played and played[-1].outcome.counts):
-            if self._stopped_for is not None:
-                self.make_safe(self._stopped_for)
+            if stopped_for := self._stopped_for or self.operator.stop_reason:
+                self.operator.make_safe(stopped_for)
                 self._stopped_for = None
+            self.operator.begin(_describe(task, episode, len(played) + 1, code))
             played.append(self._attempt(task, episode, reading, open_session, len(played) + 1, code))
         return played
 
+    @property
+    def station(self) -> OpenStation | None:
+        """The open devices; None while they are closed."""
+        return self._station
+
     def stop(self, reason: str) -> None:
         """Stop what moves; the running attempt ends and does not count. Called from any thread."""
+        self.operator.cancel(reason)
+        self._hold(reason)
+
+    def stop_by_operator(self, reason: str) -> None:
+        """Stop what moves until an operator has released it; the running attempt does not count.
+
+        Raises:
+            DecisionRefused: it is stopped already.
+        """
+        self._hold(reason)
+        self.operator.stop(reason)
+
+    def _hold(self, reason: str) -> None:
         station = self._station
         if station is not None:
             station.guard.stop(reason)
@@ -194,8 +206,10 @@ class TrialPlayer:
                 folder=self.folder,
                 show=lambda word, sight: self.show(episode.number, number, word, sight),
                 recorder=recorder,
+                operator=self.operator,
             ).play()
         attempt.video = recorder.video if recorder else None
+        attempt.help = self.operator.end() if attempt.outcome.counts else ()
         if station.guard.reason is not None or attempt.outcome in _OPENED_AGAIN:
             self._stopped_for = attempt.reason
             self._close()
@@ -205,6 +219,18 @@ class TrialPlayer:
         self._station = None
         self._opened.close()
         self._opened = ExitStack()
+
+
+def _describe(task: Task, episode: Episode, attempt: int, code: str | None) -> dict[str, Any]:
+    """Return what operators see of a trial: nothing that says whose policy plays."""
+    x_mm, y_mm, theta_deg, *_ = episode.offset
+    return {
+        "task": task.title,
+        "shape": episode.shape,
+        "start": f"x {x_mm:g} mm, y {y_mm:g} mm, turned {theta_deg:g} degrees",
+        "attempt": attempt,
+        "code": code,
+    }
 
 
 _OPENED_AGAIN: Final = frozenset(

@@ -20,7 +20,7 @@ from vitac.evaluator.submission.manifest import load_manifest
 from vitac.server.competitions.competition import find_stage
 from vitac.server.competitions.definition import StageRules
 from vitac.server.database.models import Submission
-from vitac.server.database.states import FileRole
+from vitac.server.database.states import FileRole, WorkKind
 from vitac.server.errors import ServiceError
 from vitac.server.evaluations.episode_store import StoredEpisodes, store_episodes, stored_episodes
 from vitac.server.evaluations.lifecycle import finish_shard
@@ -121,6 +121,10 @@ class RunningShard(RunningProcess, Protocol):
     def video(self) -> Path | None:
         """The video of the last record's trial; None where it has none."""
 
+    @property
+    def awaits_person(self) -> bool:
+        """Whether it stands still until somebody at a station has decided."""
+
     def records(self) -> Iterator[EpisodeRecord]:
         """Yield each record as soon as its episode is over."""
 
@@ -130,6 +134,11 @@ class RunningShard(RunningProcess, Protocol):
 
 
 StartShard = Callable[[ShardOrder], AbstractContextManager[RunningShard]]
+
+
+def name_evaluation(lease: Lease) -> dict[str, str]:
+    """Return what log lines say of a shard's evaluation: nothing at a station, whose operators are not to know it."""
+    return {} if lease.kind is WorkKind.TRIAL else {"evaluation": str(lease.evaluation_id)}
 
 
 class ShardRun(LeasedRun[RunningShard]):
@@ -155,7 +164,7 @@ class ShardRun(LeasedRun[RunningShard]):
             leave_slot: called when all is played and the process has ended, or waits for another shard. What is left
                 is to store the result.
         """
-        super().__init__(services, lease, evaluation=str(lease.evaluation_id))
+        super().__init__(services, lease, **name_evaluation(lease))
         self._stage = stage
         self._lease = lease
         self._start = start
@@ -163,6 +172,11 @@ class ShardRun(LeasedRun[RunningShard]):
         self._began_with_space = False
         self._packages: dict[str, str] | None = None
         """What the policy sees, until it is stored."""
+
+    def _renew(self, session: Session) -> None:
+        super()._renew(session)
+        if self._process is not None and self._process.awaits_person:
+            self._advance()
 
     def _work(self) -> None:
         stored: StoredEpisodes = self._database(lambda session: stored_episodes(session, self._lease))

@@ -27,7 +27,7 @@ from vitac.server.traces import span
 
 from .capabilities import list_abilities
 from .leased_run import DATABASE_PATIENCE_S, LeasedRun, RunEnd
-from .shard_run import ShardRun, StartShard
+from .shard_run import ShardRun, StartShard, name_evaluation
 from .short_runs import PlaybackRun, ReplayRun, SensorCheckRun, StartPlayback
 from .staging import SubmissionStage
 
@@ -184,7 +184,7 @@ class QueueWorker:
     def _end(self, run: AnyRun, claim: Claim, names: dict[str, int | str]) -> None:
         """Run to the end, and say and count how it ended."""
         if isinstance(claim_of := run.lease, Lease):
-            names |= {"evaluation": str(claim_of.evaluation_id), "task": claim_of.task, "number": claim_of.number}
+            names |= {**name_evaluation(claim_of), "task": claim_of.task, "number": claim_of.number}
         trace = claim_of.traceparent if isinstance(claim_of, Lease) else None
         with self._lock:
             self._runs.add(run)

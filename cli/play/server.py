@@ -1,26 +1,22 @@
 """The page of `vitac play` and what it asks for, on this machine only. Called by `command`."""
 
-import json
-import secrets
 from collections.abc import Mapping
-from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from vitac.envs.errors import VitacError
 from vitac.evaluator.episodes.records import EpisodeOutcome
+from vitac.evaluator.own_page import OwnPageServer, PageFile
 from vitac.training.demonstrations.collecting import DemonstrationKind
 from vitac.training.demonstrations.hand_play import HandPlay
 
-HOST = "127.0.0.1"
-MAX_BODY_BYTES = 4096
-PAGE_FILES = {"": ("page.html", "text/html"), "page.js": ("page.js", "text/javascript")}
-_POLICY = "default-src 'none'; script-src 'self'; style-src 'unsafe-inline'; connect-src 'self'; base-uri 'none'"
+PAGE_FILES: Final = {
+    "": PageFile(Path(__file__).with_name("page.html"), "text/html"),
+    "page.js": PageFile(Path(__file__).with_name("page.js"), "text/javascript"),
+}
 
 
-class PlayServer(HTTPServer):
-    """Serves one person; the address has a secret, so that no page of somebody else can play.
+class PlayServer(OwnPageServer):
+    """Serves one person.
 
     Args:
         played: the task.
@@ -28,54 +24,12 @@ class PlayServer(HTTPServer):
     """
 
     def __init__(self, played: HandPlay, port: int = 0) -> None:
-        super().__init__((HOST, port), _Handler)
-        self.played, self.secret = played, secrets.token_urlsafe(16)
+        super().__init__(PAGE_FILES, port)
+        self.played = played
 
-    @property
-    def address(self) -> str:
-        """Address of the page."""
-        return f"http://{HOST}:{self.server_port}/{self.secret}/"
-
-
-class _Handler(BaseHTTPRequestHandler):
-    server: PlayServer
-
-    def do_GET(self) -> None:
-        named = self._asked()
-        if named not in PAGE_FILES:
-            self.send_error(HTTPStatus.NOT_FOUND)
-            return
-        file, kind = PAGE_FILES[named]
-        self._send(Path(__file__).with_name(file).read_bytes(), kind)
-
-    def do_POST(self) -> None:
-        length = int(self.headers.get("Content-Length") or 0)
-        if self._asked() is None or length > MAX_BODY_BYTES:
-            self.send_error(HTTPStatus.NOT_FOUND)
-            return
-        try:
-            content = answer(self.server.played, str(self._asked()), json.loads(self.rfile.read(length) or b"{}"))
-            status = HTTPStatus.OK
-        except (VitacError, ValueError, TypeError, KeyError) as error:
-            content, status = {"error": str(error)}, HTTPStatus.UNPROCESSABLE_ENTITY
-        self._send(json.dumps(content).encode(), "application/json", status)
-
-    def log_message(self, *_: object) -> None:
-        """Print no line for each request."""
-
-    def _asked(self) -> str | None:
-        """Return what is asked for behind the secret; None without it."""
-        start = f"/{self.server.secret}/"
-        return self.path.removeprefix(start) if self.path.startswith(start) else None
-
-    def _send(self, content: bytes, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:
-        self.send_response(status)
-        self.send_header("Content-Type", f"{kind}; charset=utf-8")
-        self.send_header("Content-Length", str(len(content)))
-        self.send_header("Content-Security-Policy", _POLICY)
-        self.send_header("Cache-Control", "no-store")
-        self.end_headers()
-        self.wfile.write(content)
+    def answer(self, asked: str, content: Mapping[str, Any]) -> dict[str, Any]:
+        """Play what the page asks for, and return what it shows."""
+        return answer(self.played, asked, content)
 
 
 def answer(played: HandPlay, asked: str, content: Mapping[str, Any]) -> dict[str, Any]:

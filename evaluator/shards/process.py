@@ -153,9 +153,11 @@ class ShardProcess:
         packages: versions of the packages that its policy sees, by name; known before the first record. None where no
             policy runs.
         video: of none of its episodes; trials on stations have one.
+        awaits_person: never; operators of stations are asked.
     """
 
     video = None
+    awaits_person = False
 
     def __init__(
         self,

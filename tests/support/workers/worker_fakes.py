@@ -31,6 +31,7 @@ class FakeShard:
         self.killed = threading.Event()
         self.packages = {"numpy": "2.5.0"}
         self.video = None
+        self.awaits_person = False
         self._record_of = record_of
         self._gate = gate
         self._figures_of = figures_of

@@ -1,17 +1,14 @@
 """Trials at a twin, by policies that know where the hole is: every way in which an attempt can end."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from threading import Event
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from vitac.evaluator.agent.protocol.frames import CloudSpec
-from vitac.evaluator.agent.session import Isolation
+from scripted_policies import Act, Scripted
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
-from vitac.evaluator.episodes.episode import Policy
 from vitac.evaluator.episodes.reading import Observation, make_reading
 from vitac.evaluator.strict_model import validate
 from vitac.evaluator.tracks import Episode, load_track
@@ -25,33 +22,6 @@ from vitac.station.twin.laboratory import RunningTwin, TwinStation, twin_process
 
 TASK = load_track("track_1").tasks["peg-insertion"]
 START = (2.0, -1.5, 3.0)
-Act = Callable[[Observation, int], NDArray[np.float32]]
-
-
-class Scripted:
-    """A policy in this process, in place of one in the sandbox."""
-
-    isolation: Isolation | None = None
-    cpu_s = channel_s = 0.0
-    answers_s = ()
-    output = ""
-
-    def __init__(self, act: Act) -> None:
-        self._act, self.seen = act, list[Observation]()
-
-    def begin_shard(self) -> None:
-        """Nothing is counted."""
-
-    @contextmanager
-    def episode(
-        self, *, task: str, action_shape: tuple[int, ...], clouds: Sequence[CloudSpec] = ()
-    ) -> Iterator[Policy]:
-        assert (task, action_shape, clouds) == ("peg-insertion", (3,), ())
-        yield self
-
-    def act(self, observation: Observation) -> NDArray[np.float32]:
-        self.seen.append(observation)
-        return self._act(observation, len(self.seen))
 
 
 def to_the_hole(observation: Observation, number: int) -> NDArray[np.float32]:

@@ -17,6 +17,7 @@ from vitac.evaluator.tracks import Episode, load_track
 from vitac.station import agent, trials
 from vitac.station.agent import StationShard, StationShards, TrialNotPlayed, make_record
 from vitac.station.devices.stage import DeviceNotFound, Pose
+from vitac.station.operators import Operator
 from vitac.station.outcome import ATTEMPTS, TrialOutcome
 from vitac.station.rehearsal import RehearsalReport, TrialRecord
 from vitac.station.trial import Attempt
@@ -49,7 +50,10 @@ class Laboratory:
         monkeypatch.setattr(trials, "open_station", self.open_station)
         monkeypatch.setattr(trials, "Trial", self.trial)
         description: Any = None
-        with TrialPlayer(description=description, folder=Path(), make_safe=self.reasons.append) as player:
+        operator: Any = SimpleNamespace(
+            stop_reason=None, make_safe=self.reasons.append, begin=lambda _: None, end=lambda: ()
+        )
+        with TrialPlayer(description=description, folder=Path(), operator=operator) as player:
             attempts = player.play(TASK, EPISODE, make_reading(TASK), lambda: pytest.fail("nobody asks"))
         return [attempt.outcome for attempt in attempts]
 
@@ -115,6 +119,7 @@ class Attempts:
         self.outcomes, self.played, self.stopped = list(outcomes), list[int](), list[str]()
         self.description = SimpleNamespace(name="lab", procedure=SimpleNamespace(shape="cuboid"))
         self.stop = self.stopped.append
+        self.operator = Operator(asks=False)
 
     def play(self, _: object, episode: Episode, *__: object) -> list[Attempt]:
         self.played.append(episode.number)

@@ -1,0 +1,39 @@
+"""A policy in this process, in place of one in the sandbox: tests of trials say what it does."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+from numpy.typing import NDArray
+from vitac.evaluator.agent.protocol.frames import CloudSpec
+from vitac.evaluator.agent.session import Isolation
+from vitac.evaluator.episodes.episode import Policy
+from vitac.evaluator.episodes.reading import Observation
+
+Act = Callable[[Observation, int], NDArray[np.float32]]
+
+
+class Scripted:
+    """Acts as a function of the observation and its number says."""
+
+    isolation: Isolation | None = None
+    cpu_s = channel_s = 0.0
+    answers_s = ()
+    output = ""
+
+    def __init__(self, act: Act) -> None:
+        self._act, self.seen = act, list[Observation]()
+
+    def begin_shard(self) -> None:
+        """Nothing is counted."""
+
+    @contextmanager
+    def episode(
+        self, *, task: str, action_shape: tuple[int, ...], clouds: Sequence[CloudSpec] = ()
+    ) -> Iterator[Policy]:
+        assert (task, action_shape, clouds) == ("peg-insertion", (3,), ())
+        yield self
+
+    def act(self, observation: Observation) -> NDArray[np.float32]:
+        self.seen.append(observation)
+        return self._act(observation, len(self.seen))
