@@ -12,7 +12,7 @@ from ..client.verbs import print_fields, print_rows, readable
 from ..terminal.output import percent, print_pairs, print_records, print_table
 
 Given = Mapping[str, Any]
-WINNERS = ("track", "place", "team", "amount", "currency", "rank", "success_rate", "mean_steps", "total")
+WINNERS = ("track", "place", "team", "amount", "currency", "rank", "success_rate", "mean_steps", "total", "points")
 EVALUATIONS = ("id", "team", "submission", "run", "state", "success", "steps", "verdict", "alarms", "copied", "created")
 SUBMISSIONS = ("submission", "team", "name", "track", "state", "episodes", "success", "steps", "submitted")
 WORKERS = ("id", "host", "pid", "state", "evaluator_version", "shards", "isolation", "heartbeat_at", "message")

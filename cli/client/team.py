@@ -8,10 +8,11 @@ from typing import Annotated, Any
 
 import typer
 
-from ..terminal.output import AsJson, Server, TokenFile, print_json, print_meanings, print_pairs
+from ..terminal.output import AsJson, Server, TokenFile, existing_file, print_json, print_meanings, print_pairs
 from . import credentials
+from .answers import decode
 from .http import make_client
-from .verbs import OWN_TEAM, Door, Given, Verb, add_verbs, print_fields, print_rows
+from .verbs import HELPS, OWN_TEAM, PREFIX, Door, Given, Verb, add_verbs, print_fields, print_rows
 
 MemberName = Annotated[str, typer.Argument(help="The member's name, as `vitac team show` prints it.")]
 Kinds = Annotated[
@@ -196,6 +197,29 @@ def show(server: Server = None, token_file: TokenFile = None, as_json: AsJson = 
     print()
     present = [member for member in found["members"] if member["left_at"] is None]
     print_rows(present, ("name", "role", "email", "has_password", "joined_at"), none="")
+
+
+@app.command()
+def brief(
+    document: Annotated[Path, typer.Argument(callback=existing_file, help="The brief, as PDF.")],
+    track: Annotated[str, typer.Option(help=HELPS["track"])],
+    stage: Annotated[str, typer.Option(help=HELPS["stage"])],
+    competition: Annotated[str | None, typer.Option(help=HELPS["competition"])] = None,
+    server: Server = None,
+    token_file: TokenFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Hand in the team's brief for a stage, in place of an earlier one; a committee reads it."""
+    door = Door(client=make_client(server, token_file))
+    place = {"competition": door.find_competition(competition), "track": track, "stage": stage}
+    headers = {"Content-Type": "application/pdf"}
+    with document.open("rb") as content:
+        answer = door.client.send("PUT", f"{PREFIX}/briefs/own", headers=headers, params=place, content=content)
+    received = decode(answer)
+    if as_json:
+        print_json(received)
+    else:
+        print_pairs({name: received[name] for name in ("team", "pages", "received_at", "sha256")})
 
 
 @app.command()

@@ -302,7 +302,11 @@ def _shown(content: Content) -> dict[str, object]:
     if isinstance(content, End):
         shown["competition"] = content.competition
         for winner in content.winners:
-            shown[f"{winner.track}, {winner.place}"] = f"{winner.team}, submission {winner.submission}"
+            shown[f"{winner.track}, {winner.place}"] = (
+                f"{winner.team}, submission {winner.submission}"
+                if winner.submission
+                else f"{winner.team}, {winner.points:g} points, evidence {winner.evidence}"
+            )
     return shown
 
 

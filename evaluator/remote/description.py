@@ -25,7 +25,7 @@ class RemoteProtocol(StrEnum):
     ROBOT_BRIDGE = "robot-bridge"
     """A policy of the 2026 edition: it dials us, as it dials the robot."""
     LEROBOT = "lerobot"
-    """LeRobot's server of policies: we dial it, it loads the policy that it is told."""
+    """LeRobot's server of policies: we dial it, it loads the policy that it is given."""
 
     @property
     def has_one_client(self) -> bool:

@@ -31,7 +31,7 @@ _STATE: Final = "observation.state"
 
 
 class LeRobot:
-    """What both ends say: the server loads the policy that it is told, and answers each observation with actions.
+    """What both ends say: the server loads the policy that it is given, and answers each observation with actions.
 
     Every observation is one that must be answered (`must_go`), so that the server leaves none out.
 

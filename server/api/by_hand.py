@@ -1,6 +1,7 @@
 """Routes of stages that are judged or played elsewhere: briefs for a committee, and results that operators enter."""
 
 import asyncio
+from collections.abc import AsyncIterator
 from http import HTTPStatus
 from typing import Annotated
 from uuid import UUID
@@ -11,8 +12,18 @@ from pydantic import Field
 from ..competitions.competition import Competition
 from ..decisions import briefs, entered_results
 from ..errors import ProblemCode, ServiceError
+from ..principals import Principal
+from ..services import Services
 from ..views.by_hand import BriefListView, BriefView, EnteredBoardView
-from .access import ChangingServicesOf, CompetitionOrganizerOf, JudgeOf, ServicesOf, SignedInOf, TeamOf, VisitorOf
+from .access import (
+    ChangingServicesOf,
+    CompetitionOrganizerOf,
+    JudgeOf,
+    ServicesOf,
+    SignedInOf,
+    TeamOf,
+    VisitorOf,
+)
 from .inputs import Input
 from .problems import RESPONSES
 from .teams import ONE_LINE
@@ -44,9 +55,20 @@ async def put_brief(
     services: ServicesOf, principal: TeamOf, request: Request, competition: str, track: str, stage: str
 ) -> BriefView:
     """Hand in the own team's brief for a stage, a PDF, in place of an earlier one."""
+    return await receive_brief(services, principal, request.stream(), competition, track, stage)
+
+
+async def receive_brief(
+    services: Services, by: Principal, pieces: AsyncIterator[bytes], competition: str, track: str, stage: str
+) -> BriefView:
+    """Read a brief as it arrives, and hand it in.
+
+    Raises:
+        ServiceError: it is too large, or refused.
+    """
     content = bytearray()
-    async for chunk in request.stream():
-        content += chunk
+    async for piece in pieces:
+        content += piece
         if len(content) > briefs.BRIEF_BYTES:
             raise ServiceError(
                 ProblemCode.UPLOAD_TOO_LARGE, f"Expected a brief of at most {briefs.BRIEF_BYTES >> 20} MiB, got more."
@@ -55,7 +77,7 @@ async def put_brief(
     def store() -> BriefView:
         with services.database.transaction() as session:
             found = Competition.find(session, competition).stage(track, stage)
-            return briefs.brief_view(briefs.hand_in(session, principal, found, bytes(content)))
+            return briefs.brief_view(briefs.hand_in(session, by, found, bytes(content)))
 
     return await asyncio.to_thread(store)
 

@@ -254,6 +254,12 @@ class Competition:
         """The last stage of each track that is held here, or its final list: its boards decide who wins."""
         return tuple({stage.track: stage for stage in self.stages_held_here}.values())
 
+    @property
+    def last_entered_stages(self) -> tuple[Stage, ...]:
+        """The last stage of each track that is not held here, where its results are entered."""
+        last = {stage.track: stage for stage in self.stages if not stage.track_rules.taken_here}
+        return tuple(stage for stage in last.values() if stage.rules.entered)
+
     def holds(self, track: str) -> bool:
         """Return whether submissions to a track are taken here."""
         return any(stage.track == track for stage in self.stages_held_here)

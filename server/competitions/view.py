@@ -92,12 +92,13 @@ def disqualified_since_the_end(competition: Competition) -> list[DisqualifiedTea
     row = competition.row
     if row.finalized_at is None:
         return []
-    kept = {winner["submission"]: winner["team"] for winner in row.winners or ()}
+    kept = {winner["submission"] or winner["team_id"]: winner["team"] for winner in row.winners or ()}
     kept |= {entry["submission_id"]: entry["team"] for board in row.boards or () for entry in board["entries"]}
     since_when = func.coalesce(Team.disqualified_at, Submission.disqualified_at)
-    query = select(Submission.id, since_when).join(Submission.team).where(since_when.is_not(None))
-    found = competition.session.execute(query)
-    since = {kept[str(submission)]: at for submission, at in found if at and str(submission) in kept}
+    of_submissions = select(Submission.id, since_when).join(Submission.team).where(since_when.is_not(None))
+    of_teams = select(Team.id, Team.disqualified_at).where(Team.disqualified_at.is_not(None))
+    found = [*competition.session.execute(of_submissions), *competition.session.execute(of_teams)]
+    since = {kept[str(identity)]: at for identity, at in found if at and str(identity) in kept}
     return [DisqualifiedTeamView(team=team, disqualified_at=at) for team, at in sorted(since.items())]
 
 

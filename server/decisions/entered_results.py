@@ -89,17 +89,8 @@ def board(session: Session, stage: Stage, by: Principal = VISITOR) -> EnteredBoa
         ServiceError: its results are not entered.
     """
     tasks, names = _require_tasks(stage), ShownNames.read(session, by)
-    best: dict[UUID | str | None, EnteredResult] = {}
-    attempts: Counter[UUID | str | None] = Counter()
-    for row in session.scalars(_of_stage(stage).order_by(EnteredResult.entered_at, EnteredResult.id)):
-        if row.team is not None and row.team.disqualified_at is not None:
-            continue
-        player = row.team_id or row.baseline
-        attempts[player] += 1
-        if player not in best or _total(tasks, row) > _total(tasks, best[player]):
-            best[player] = row
-    ordered = sorted(best.items(), key=lambda item: -_total(tasks, item[1]))
-    ranks = {player: rank for rank, player in enumerate((player for player, row in ordered if row.team), 1)}
+    ordered = best_attempts(session, stage)
+    ranks = {row.team: rank for rank, row in enumerate((row for row, _ in ordered if row.team), 1)}
     prizes = _list_prizes(stage) if stage.is_over(read_clock(session)) else []
     return EnteredBoardView(
         competition=stage.competition,
@@ -108,20 +99,40 @@ def board(session: Session, stage: Stage, by: Principal = VISITOR) -> EnteredBoa
         tasks=[EnteredTaskView(**task.model_dump()) for task in tasks],
         entries=[
             EnteredEntryView(
-                rank=ranks.get(player),
+                rank=ranks.get(row.team),
                 team=names.show_name(row.team) if row.team is not None else row.baseline or "",
                 is_baseline=row.team is None,
                 attempt=row.attempt,
-                attempts=attempts[player],
+                attempts=attempts,
                 points={task.name: row.points.get(task.name, 0) for task in tasks},
-                total=_total(tasks, row),
+                total=total(stage, row),
                 evidence=row.evidence,
                 entered_at=row.entered_at,
-                prize=next(iter(prizes[ranks[player] - 1 :][:1]), None) if player in ranks else None,
+                prize=next(iter(prizes[ranks[row.team] - 1 :][:1]), None) if row.team in ranks else None,
             )
-            for player, row in ordered
+            for row, attempts in ordered
         ],
     )
+
+
+def best_attempts(session: Session, stage: Stage) -> Sequence[tuple[EnteredResult, int]]:
+    """Return the best attempt of each player that is not disqualified, and how many it had, in the board's order."""
+    best: dict[UUID | str | None, EnteredResult] = {}
+    attempts: Counter[UUID | str | None] = Counter()
+    for row in session.scalars(_of_stage(stage).order_by(EnteredResult.entered_at, EnteredResult.id)):
+        if row.team is not None and row.team.disqualified_at is not None:
+            continue
+        player = row.team_id or row.baseline
+        attempts[player] += 1
+        if player not in best or total(stage, row) > total(stage, best[player]):
+            best[player] = row
+    ordered = sorted(best.items(), key=lambda item: -total(stage, item[1]))
+    return [(row, attempts[player]) for player, row in ordered]
+
+
+def total(stage: Stage, row: EnteredResult) -> float:
+    """Return the sum over the stage's tasks of an attempt."""
+    return float(sum(row.points.get(task.name, 0) for task in stage.rules.entered))
 
 
 def _list_prizes(stage: Stage) -> Sequence[str]:
@@ -138,10 +149,6 @@ def _of_stage(stage: Stage) -> Select[EnteredResult]:
         EnteredResult.track == stage.track,
         EnteredResult.stage == stage.name,
     )
-
-
-def _total(tasks: Sequence[EnteredTask], row: EnteredResult) -> float:
-    return float(sum(row.points.get(task.name, 0) for task in tasks))
 
 
 def _find_taking_part(session: Session, stage: Stage, name: str) -> Team:

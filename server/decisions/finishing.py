@@ -28,6 +28,7 @@ from ..tracks import known_track
 from ..transparency.log import append
 from ..views.leaderboards import LeaderboardEntryView, LeaderboardView
 from .audit_digests import append_audit_digest
+from .entered_results import best_attempts, total
 from .judging import judged, ranked_by_total
 from .unsettled import unsettled
 
@@ -42,8 +43,10 @@ class Winner:
     Attributes:
         place: of the prize table.
         amount: of money, in the competition's currency.
-        result_hash: of the evaluation by which it won.
+        success_rate, mean_steps, submission, result_hash: of the submission by which it won; None where results are
+            entered.
         total: by which it won a judged track; None elsewhere.
+        points, evidence, team_id: of the attempt by which it won, where results are entered; None elsewhere.
     """
 
     track: str
@@ -53,11 +56,14 @@ class Winner:
     amount: int
     currency: str
     note: str | None
-    success_rate: float
-    mean_steps: float | None
-    submission: str
-    result_hash: str
+    success_rate: float | None = None
+    mean_steps: float | None = None
+    submission: str | None = None
+    result_hash: str | None = None
     total: float | None = None
+    points: float | None = None
+    evidence: str | None = None
+    team_id: str | None = None
 
 
 def finalize(
@@ -214,6 +220,8 @@ def _winners_now(session: Session, competition: Competition) -> list[Winner]:
         if competition.row.boards is None:
             require_current(session, stage)
         found += _find_winners(session, stage, competition.definition.currency)
+    for stage in competition.last_entered_stages:
+        found += _find_winners_by_points(session, stage, competition.definition.currency)
     return found
 
 
@@ -263,6 +271,28 @@ def _find_winners(session: Session, stage: Stage, currency: str) -> list[Winner]
         )
         for rank, (prize, (entry, total)) in enumerate(
             zip(prizes, _order_for_prizes(session, stage), strict=False), start=1
+        )
+    ]
+
+
+def _find_winners_by_points(session: Session, stage: Stage, currency: str) -> list[Winner]:
+    """Return the winners by the results that operators have entered for a stage."""
+    ranked = [(row, row.team) for row, _ in best_attempts(session, stage) if row.team is not None]
+    return [
+        Winner(
+            track=stage.track,
+            place=prize.place,
+            rank=rank,
+            team=team.name,
+            amount=prize.amount,
+            currency=currency,
+            note=prize.note,
+            points=total(stage, row),
+            evidence=row.evidence,
+            team_id=str(team.id),
+        )
+        for rank, (prize, (row, team)) in enumerate(
+            zip(_single_prizes(stage.track_rules.prizes), ranked, strict=False), start=1
         )
     ]
 

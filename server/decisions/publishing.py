@@ -58,10 +58,12 @@ flex-direction: column; justify-content: center; break-inside: avoid; }
 {% if not final_on %}<p><strong>Not final: results may still change.</strong></p>{% endif %}
 <h2>{{ winner.team }}</h2>
 <p>{{ winner.place|capitalize }} prize, {{ names[winner.track] }}</p>
-<p>success rate {{ "%.1f"|format(100 * winner.success_rate) }} %{% if winner.total is not none %}; total {{
+<p>{% if winner.points is not none %}{{ "%g"|format(winner.points) }} points{% else %}success rate {{
+"%.1f"|format(100 * winner.success_rate) }} %{% endif %}{% if winner.total is not none %}; total {{
 "%.1f"|format(100 * winner.total) }} %{% endif %}{% if winner.note %}; {{ winner.note }}{% endif %}</p>
 {% if final_on %}<p>final since {{ final_on }}</p>{% endif %}
-<p><small>result hash {{ winner.result_hash }}</small></p>
+<p><small>{% if winner.result_hash %}result hash {{ winner.result_hash }}{% else %}evidence {{ winner.evidence
+}}{% endif %}</small></p>
 </section>
 {% endfor %}
 {% else %}
@@ -71,7 +73,8 @@ flex-direction: column; justify-content: center; break-inside: avoid; }
 <table><thead><tr><th>Track</th><th>Prize</th><th>Team</th><th>Amount</th></tr></thead><tbody>
 {% for winner in winners %}
 <tr><td>{{ names[winner.track] }}</td><td>{{ winner.place }}{% if winner.total is not none %}, by a total of {{
-"%.1f"|format(100 * winner.total) }} %{% endif %}</td><td>{{ winner.team }}</td>
+"%.1f"|format(100 * winner.total) }} %{% elif winner.points is not none %}, by {{ "%g"|format(winner.points)
+}} points{% endif %}</td><td>{{ winner.team }}</td>
 <td>{{ winner.amount }} {{ winner.currency }}</td></tr>
 {% endfor %}
 </tbody></table>

@@ -122,17 +122,18 @@ def _rename_in_final_results(session: Session, team: Team) -> None:
     """Write a team's present name into winners and boards that were stored at the end of the competition."""
     own = {str(found) for found in session.scalars(select(Submission.id).where(Submission.team_id == team.id))}
     for name in sorted(competition.name for competition in Competition.read_all(session)):
-        _rename_in_results(Competition.lock(session, name).row, team.name, own)
+        _rename_in_results(Competition.lock(session, name).row, team, own)
 
 
-def _rename_in_results(row: CompetitionRow, name: str, own: Collection[str]) -> None:
-    """Write a name into what was stored of the submissions of a team, by their ids."""
-    if not row.boards:
+def _rename_in_results(row: CompetitionRow, team: Team, own: Collection[str]) -> None:
+    """Write a team's name into what was stored of its submissions and attempts."""
+    if row.boards is None:
         return
     before = {entry["team"] for board in row.boards for entry in board["entries"] if entry["submission_id"] in own}
 
     def renamed(kept: Mapping[str, Any]) -> dict[str, Any]:
-        return {**kept, "team": name} if kept["team"] in before else dict(kept)
+        is_own = kept["team"] in before or kept.get("team_id") == str(team.id)
+        return {**kept, "team": team.name} if is_own else dict(kept)
 
     row.boards = [board | {"entries": [renamed(entry) for entry in board["entries"]]} for board in row.boards]
     row.winners = [renamed(winner) for winner in row.winners or ()]

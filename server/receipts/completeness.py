@@ -266,7 +266,7 @@ def check_winners(described: ExportDescription, receipts: Iterable[Receipt]) -> 
         return
     left = []
     for winner in winners:
-        team = of_stage.get(winner.submission)
+        team = of_stage.get(winner.submission) if winner.submission else None
         if team is not None and team.off_boards:
             yield False, f"{team.name}: wins {winner.place}; the service leaves the team out: {team.off_boards}."
         else:

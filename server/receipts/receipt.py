@@ -114,7 +114,7 @@ class Result(OfSubmission):
 
 
 class WinningEntry(StrictModel):
-    """A place of the prize table, and the submission that wins it."""
+    """A place of the prize table, and the submission or the attempt that wins it."""
 
     track: Word
     place: str
@@ -122,9 +122,12 @@ class WinningEntry(StrictModel):
     team: str
     amount: NonNegativeInt
     currency: str
-    submission: UUID
-    result_hash: Sha256
+    submission: UUID | None
+    """Null, as the hash, where operators entered the results."""
+    result_hash: Sha256 | None
     total: float | None
+    points: float | None = None
+    evidence: str | None = None
 
 
 class JudgedEntry(StrictModel):

@@ -123,11 +123,13 @@ class WinnerView(View):
     rank: int
     team: str
     amount: int
-    success_rate: float
-    result_hash: str
+    success_rate: float | None = Field(default=None, description="Null: operators entered the results.")
+    result_hash: str | None = None
     total: float | None = Field(
         default=None, description="Of success, marks and figures by the weights; null: the track is not judged."
     )
+    points: float | None = Field(default=None, description="Of the attempt that won, where operators entered results.")
+    evidence: str | None = Field(default=None, description="What shows that attempt.")
 
 
 class DisqualifiedTeamView(View):

@@ -10,7 +10,7 @@ from starlette.datastructures import Headers
 from starlette.responses import FileResponse, Response
 from starlette.staticfiles import StaticFiles
 from starlette.types import Scope
-from vitac.server.api import appeals, competitions, judging, members, rejudging
+from vitac.server.api import appeals, by_hand, competitions, judging, members, rejudging
 from vitac.server.api import messages as correspondence
 from vitac.server.api import submissions as submission_routes
 from vitac.server.api import teams as team_routes
@@ -20,7 +20,7 @@ from ..documentation.library import ADDRESS, Library
 from ..headers import SecurityHeaders
 from ..rendering import STATIC, static_digest
 from ..site import Page, Site, name_competitions
-from . import competition, desk, desk_competitions, desk_teams, errors, home, messages, service, tracks
+from . import briefs, competition, desk, desk_competitions, desk_teams, errors, home, messages, service, tracks
 from .episodes import embedded
 from .episodes import page as episodes
 from .files import boards
@@ -31,7 +31,7 @@ from .leaderboards import leaderboard
 from .submissions import comparison, output, sensors, sharing, submissions, upload
 from .teams import sign_in, team
 
-UPLOADS = (("POST", upload.ADDRESS),)
+UPLOADS = (("POST", upload.ADDRESS), ("POST", briefs.OWN))
 """Pages that take uploads, which have limits of their own."""
 EPISODES = tuple(f"/submissions/{{submission_id}}/{folder}/{{task}}/{{number}}" for folder in episodes.FOLDERS)
 ONE_YEAR_S = 365 * 24 * 3600
@@ -102,6 +102,9 @@ FORMS: Mapping[str, Page] = MappingProxyType(
         f"{messages.ADDRESS}/ask": form(correspondence.post_question),
         f"{desk.JUDGING_ADDRESS}/marks": form(judging.put_marks, values=desk.read_marks),
         f"{desk.JUDGING_ADDRESS}/conflict": form(judging.post_conflict),
+        f"{briefs.ADDRESS}/{{team_id}}/decision": form(
+            by_hand.put_decision, back=briefs.ADDRESS, values=briefs.read_decision
+        ),
         f"{desk.REJUDGING_ADDRESS}/start": form(rejudging.post_rejudgement),
         f"{desk.REJUDGING_ADDRESS}/apply": form(rejudging.apply_rejudgement),
         f"{desk.REJUDGING_ADDRESS}/discard": form(rejudging.discard_rejudgement),
@@ -211,6 +214,9 @@ def pages() -> APIRouter:
         (f"{team.ADDRESS}/token", team.renew_token, "POST"),
         (messages.ADDRESS, messages.messages, "GET"),
         (desk.APPEALS_ADDRESS, desk.list_appeals, "GET"),
+        (briefs.ADDRESS, briefs.show, "GET"),
+        (briefs.OWN, briefs.hand_in, "POST"),
+        (f"{briefs.ADDRESS}/{{team_id}}.pdf", briefs.document, "GET"),
         (desk.JUDGING_ADDRESS, desk.judging, "GET"),
         (desk.REJUDGING_ADDRESS, desk.rejudgements, "GET"),
         (desk_teams.ADDRESS, desk_teams.teams, "GET"),

@@ -6,6 +6,7 @@ Those of organizers are in `admin/test_audit` and `admin/test_from_elsewhere`.
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -125,6 +126,7 @@ def tell(story: Story, folder: Path) -> None:
     story.run("question ask", "When?", "--public")
     story.read("question list")
     tell_of_team(story)
+    tell_of_a_brief(story, folder / "brief.pdf")
     story.run("logout")
     story.run("register", "Newcomers", token=None)
     assert set(commands_of_a_service()) | BESIDE == story.told
@@ -135,6 +137,18 @@ def tell_of_a_policy_that_dials_in(story: Story, folder: Path) -> None:
     arguments = (str(submission_folder(folder / "far", manifest)), "--remote", "ws://127.0.0.1:1")
     with gate(find=lambda _: "Team A") as (policies, _):
         assert "no gate" in story.be_refused("remote connect", *arguments, "--gate", policies)
+
+
+def tell_of_a_brief(story: Story, document: Path) -> None:
+    now = datetime.now(UTC)
+    times = {"opens": (now - timedelta(days=1)).isoformat(), "closes": (now + timedelta(days=1)).isoformat()}
+    stage = {"name": "brief", "title": "Brief", "brief": {"min_pages": 1}, **times}
+    content = open_now(make_competition())
+    content["tracks"]["robots"] = {"title": "Robots", "taken_here": False, "stages": [stage]}
+    with story.service.database.transaction() as session:
+        put_in_place(session, content)
+    document.write_bytes(b"%PDF-1.4 1 0 obj << /Type /Page >> endobj")
+    assert story.read("team brief", str(document), "--track", "robots", "--stage", "brief")["pages"] == 1
 
 
 def tell_of_receipts(story: Story, submission: str, folder: Path) -> None:

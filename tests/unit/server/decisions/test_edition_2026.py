@@ -13,9 +13,11 @@ from vitac.server.accounts.merging import merge
 from vitac.server.audit import newest_entries
 from vitac.server.competitions.competition import Competition
 from vitac.server.competitions.definition import CompetitionDefinition, read_competition
+from vitac.server.competitions.view import competition_view
 from vitac.server.database.engine import Database
-from vitac.server.decisions import advancement, briefs, entered_results
+from vitac.server.decisions import advancement, briefs, entered_results, finishing
 from vitac.server.decisions.pdf_pages import count_pages
+from vitac.server.decisions.publishing import result_files
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.operations import team_data
 from vitac.server.principals import CONSOLE, VISITOR, Principal
@@ -157,6 +159,41 @@ def test_the_published_board_follows_from_the_attempts_whose_sums_it_shows(
         board = entered_results.board(session, Competition.read(session).stage(TRACK, "stage2"))
     prizes = [entry.prize for entry in board.entries if not entry.is_baseline]
     assert prizes == ["first", "second", "second", "third", "third", "third"]
+
+
+def test_the_end_gives_prizes_by_the_entered_points_and_keeps_them_under_the_names_of_today(
+    database: Database, edition: dict[str, Any]
+) -> None:
+    place(database, edition, 0)
+    players = {name: principal(database, name) for name in ("Ants", "Bees", "Cats")}
+    for team in players.values():
+        hand_in(database, team, pdf(3))
+    place(database, edition, 1)
+    for number, (name, team) in enumerate(players.items()):
+        decide(database, team)
+        enter(database, team=name, points=points(100 - number, 0), evidence=f"film {number}")
+    enter(database, baseline="Ours", points=points(500, 500))
+    edition["tracks"][TRACK]["stages"][1]["closes"] = (datetime.now(UTC) - timedelta(hours=1)).isoformat()
+    with database.transaction() as session:
+        put_in_place(session, edition)
+        unsettled = [concern.name for concern in finishing.concerns_at_end(session)]
+        winners = finishing.finalize(session, CONSOLE, confirmed=unsettled)
+    assert [(each.place, each.rank, each.team, each.points, each.evidence) for each in winners] == [
+        ("first", 1, "Ants", 100, "film 0"), ("second", 2, "Bees", 99, "film 1"), ("second", 3, "Cats", 98, "film 2"),
+    ]  # fmt: skip
+    with database.transaction() as session:
+        files = result_files(session)
+        assert "99 points" in files["certificates.html"]
+        assert "evidence film 1" in files["certificates.html"]
+        teams.disqualify(session, CONSOLE, teams.find(session, "Ants"), "plays by hand")
+        cats = teams.find(session, "Cats")
+        team_data.erase(session, CONSOLE, cats)
+        view = competition_view(session)
+        assert [winner.team for winner in view.winners] == ["Ants", "Bees", cats.name]
+        assert [each.team for each in view.disqualified] == ["Ants"]
+    with database.transaction() as session:
+        again = finishing.finalize_again(session, CONSOLE)
+    assert [(each.place, each.points) for each in again] == [("first", 99), ("second", 98)]
 
 
 def test_a_committee_lets_in_whom_it_accepts_and_nobody_else(database: Database, edition: dict[str, Any]) -> None:
