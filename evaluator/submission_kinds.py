@@ -28,6 +28,11 @@ class KindForm:
     has_own_log: bool = False  #: its evaluation can be written as a log of ours, and verified again
     worth: str = ""  #: what its score is worth, in a few words; empty where it ranks as a model
 
+    @property
+    def has_card(self) -> bool:
+        """Whether a model card says what plays, here or elsewhere."""
+        return self.runs_policy or self.is_remote
+
 
 class SubmissionKind(StrEnum):
     """What a team submits.

@@ -7,14 +7,14 @@ import hashlib
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
 from vitac.evaluator.agent.verdicts import EpisodeCut, PolicyFailed
 from vitac.evaluator.logs.findings import LogFinding
-from vitac.evaluator.remote.connection_test import test_connection
+from vitac.evaluator.remote.connection_test import BlankAnswer, test_connection
 from vitac.evaluator.remote.description import DIALS_IN, RemoteProtocol, RemoteServer
 from vitac.evaluator.remote.line import AddressInvalid
 from vitac.evaluator.remote.relay import inner_address
@@ -40,7 +40,7 @@ from ..storage import stored_files
 from ..storage.blobs import cut
 from ..tracks import load_known_track
 from ..views.receipts import LogView
-from ..views.submissions import ArchiveContents
+from ..views.submissions import ArchiveContents, BlankAnswerView
 from .intake import CheckedUpload, ReceivedFile, UploadedFile
 from .log_checks import check_log, check_text_log
 
@@ -102,7 +102,12 @@ def check_model(received: ReceivedFile, owner: str, settings: Settings) -> Check
         sketch, contents = make_sketch(folder), read_contents(folder)  # of the team's own files, without the wheels'
         unpack_wheels(folder, settings.limits)
     if manifest.remote is not None:
-        _ask_policy_server(manifest.remote, [track.tasks[task] for task in manifest.tasks], settings, owner)
+        tasks = [track.tasks[task] for task in manifest.tasks]
+        answers = [
+            BlankAnswerView.model_validate(asdict(answer))
+            for answer in _ask_policy_server(manifest.remote, tasks, settings, owner)
+        ]
+        contents = contents.model_copy(update={"blank_answers": answers})
     return CheckedUpload(
         kind=SubmissionKind.MODEL if manifest.remote is None else SubmissionKind.REMOTE,
         track=manifest.track,
@@ -178,8 +183,10 @@ def require_allowed(server: RemoteServer, settings: Settings, team: str) -> str:
     return server.address
 
 
-def _ask_policy_server(server: RemoteServer, tasks: Sequence[Task], settings: Settings, team: str) -> None:
-    """Refuse a policy server that does not answer a blank observation of each task.
+def _ask_policy_server(
+    server: RemoteServer, tasks: Sequence[Task], settings: Settings, team: str
+) -> tuple[BlankAnswer, ...]:
+    """Return the answers of a policy server to a blank observation of each task; one that gives none is refused.
 
     Raises:
         ServiceError: it is not allowed, or its answer would fail an episode.
@@ -187,7 +194,7 @@ def _ask_policy_server(server: RemoteServer, tasks: Sequence[Task], settings: Se
     address = require_allowed(server, settings, team)
     limits = replace(settings.limits, start_wall_s=CONNECTION_TEST_S)
     try:
-        test_connection(address, server, tasks, limits)
+        return test_connection(address, server, tasks, limits)
     except (AddressInvalid, PolicyFailed, EpisodeCut) as error:
         reason = f"{error.message} {error.verdict.sentence}" if isinstance(error, PolicyFailed) else str(error)
         raise ServiceError(

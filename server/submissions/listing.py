@@ -155,7 +155,7 @@ def model_card(session: Session, by: Principal, submission_id: UUID) -> ModelCar
         ServiceError: there is no such submission, or it is a log.
     """
     submission = readable(session, by, submission_id)
-    if not submission.kind.form.runs_policy:
+    if not submission.kind.form.has_card:
         raise ServiceError(
             ProblemCode.UNSUPPORTED_SUBMISSION_KIND,
             f"Expected a model, got a submission of kind {submission.kind}: only models have a card.",

@@ -29,12 +29,22 @@ class DescriptionView(View):
     )
 
 
+class BlankAnswerView(View):
+    """How a policy server answered a blank observation at the upload."""
+
+    task: str
+    answer_s: float
+    low: float = Field(description="Smallest number of the action; what is beyond [-1, 1] is clipped.")
+    high: float
+
+
 class ArchiveContents(View):
     """What a model's archive holds, as it was when it was uploaded."""
 
     frameworks: list[str] = Field(description="Modules that its code imports to compute with.")
     code_bytes: int
     weights_bytes: int
+    blank_answers: list[BlankAnswerView] = Field(default=[], description="Of a policy server, by task.")
 
 
 class ModelCardView(View):

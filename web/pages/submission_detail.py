@@ -59,5 +59,5 @@ def read_detail(session: Session, settings: Settings, by: Principal, submission_
         episodes_with_output=files.episodes_with_output(session, by, shown),
         practice_episodes=listing.list_episodes(session, by, shown, practice=True),
         past=past_results(session, by, shown) if is_own else (),
-        card=make_card(session, by, shown) if found.kind.form.runs_policy else None,
+        card=make_card(session, by, shown) if found.kind.form.has_card else None,
     )

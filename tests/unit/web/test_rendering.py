@@ -4,7 +4,8 @@ from pathlib import Path
 
 import jinja2
 import pytest
-from vitac.server.views.submissions import ArchiveContents, ModelCardView
+from seeded_site import words
+from vitac.server.views.submissions import ArchiveContents, BlankAnswerView, ModelCardView
 from vitac.web import rendering
 from vitac.web.rendering import STATIC, Same, environment, static_url
 
@@ -190,6 +191,10 @@ def test_the_card_of_a_sensor_without_code_names_no_policy() -> None:
     assert "Computes with" not in sensor
     coded = card.model_copy(update={"contents": contents.model_copy(update={"code_bytes": 900})})
     assert "<dt>Policy</dt>" in about.model_card(coded)  # type: ignore[attr-defined]
+    far = BlankAnswerView(task="peg-insertion", answer_s=0.0123, low=-0.5, high=1.5)
+    server = card.model_copy(update={"contents": contents.model_copy(update={"blank_answers": [far]})})
+    text = words(about.model_card(server))  # type: ignore[attr-defined]
+    assert "peg insertion in 12.3 ms, with numbers from -0.5 to 1.5; what is beyond [-1, 1] is clipped" in text
 
 
 def test_a_part_of_a_page_is_rendered_once_for_each_key() -> None:

@@ -52,6 +52,16 @@ def test_server_that_answers_is_queued_on_the_public_list_as_a_kind_of_its_own(
     assert answer.json()["evaluation"]["list_kind"] == "public"
 
 
+def test_answers_of_the_upload_are_on_the_model_card(database: Database, tmp_path: Path) -> None:
+    wide = openpi(lambda _: packed({"actions": np.array([-0.5, 1.5, 0.25], np.float32)}))
+    with serving(wide) as address, running_service(database, tmp_path, remote_addresses=address) as service:
+        identity = service.upload(archive(address)).json()["id"]
+        contents = service.get(f"/submissions/{identity}/card").json()["contents"]
+    (answer,) = contents["blank_answers"]
+    assert (answer["task"], answer["low"], answer["high"]) == (TASK, -0.5, 1.5)
+    assert 0 < answer["answer_s"] < 10
+
+
 @pytest.mark.parametrize(
     ("handler", "options", "words"),
     [
