@@ -10,6 +10,7 @@ const DEAD_ZONE = 0.15;
 const [left, right, sceneCanvas] = document.querySelectorAll("canvas");
 const at = (id) => document.getElementById(id);
 const held = new Set();
+const pressed = new Set(); // since the last env step began, so that a short press is not lost while one is played
 let state = null;
 let isBusy = false;
 
@@ -22,11 +23,12 @@ async function ask(what, content = {}) {
 
 function wanted() {
   const pad = (navigator.getGamepads?.() ?? []).find((each) => each?.connected);
-  const scale = held.has("Shift") ? 0.25 : 1;
-  let isActive = held.has(" ") || Boolean(pad?.buttons[0]?.pressed);
+  const isDown = (key) => held.has(key) || pressed.has(key);
+  const scale = isDown("Shift") ? 0.25 : 1;
+  let isActive = isDown(" ") || Boolean(pad?.buttons[0]?.pressed);
   const action = state.actions.map((_, index) => {
     const keys = KEYS[index];
-    let value = (held.has(keys.more) ? 1 : 0) - (held.has(keys.less) ? 1 : 0);
+    let value = (isDown(keys.more) ? 1 : 0) - (isDown(keys.less) ? 1 : 0);
     const stick = pad?.axes[index] ?? 0;
     if (value === 0 && Math.abs(stick) > DEAD_ZONE) value = index % 2 ? -stick : stick;
     isActive ||= value !== 0;
@@ -128,11 +130,12 @@ addEventListener("keydown", (event) => {
   if (key === " " || KEYS.some(({ more, less }) => key === more || key === less)) event.preventDefault();
   if (!held.has(key)) {
     held.add(key);
+    pressed.add(key);
     tick();
   }
 });
 addEventListener("keyup", (event) => held.delete(keyOf(event)));
-addEventListener("blur", () => held.clear());
+addEventListener("blur", () => [held, pressed].forEach((keys) => keys.clear()));
 at("next").addEventListener("click", () => {
   at("next").blur(); // Space is an env step from here on
   play("next");
@@ -143,9 +146,10 @@ at("look").addEventListener("change", () => {
 });
 
 function tick() {
-  if (!state || state.end !== null) return;
+  if (!state || isBusy) return;
   const action = wanted();
-  if (action) play("step", { action });
+  pressed.clear();
+  if (action && state.end === null) play("step", { action });
 }
 
 begin();
