@@ -60,6 +60,7 @@ def rehearse_submission(
             trials = rehearse(player, staged_folder, track, episodes=episodes, on_trial=print_trial)
         report = RehearsalReport.from_trials(
             trials,
+            twin=description.twin,
             station=description.name,
             submission=manifest.name,
             submission_digest=submission_digest(submission),
@@ -70,7 +71,9 @@ def rehearse_submission(
         json.write_text(report.model_dump_json(indent=1) + "\n", encoding="utf-8")
     if album:
         outcomes = {trial.episode: trial.outcome for trial in trials}
-        album.write_page(f"{report.submission} on {report.station}", outcomes)
+        album.write_page(
+            f"{report.submission} on {report.station}{f', {report.twin}' if report.twin else ''}", outcomes
+        )
     print_report(report)
     if report.without_result:
         raise typer.Exit(1)
@@ -88,6 +91,8 @@ def print_trial(trial: "TrialRecord") -> None:
 
 def print_report(report: "RehearsalReport") -> None:
     """Print how often each outcome occurred, and the rate of what counts."""
+    if report.twin:
+        print(f"{report.station} is {report.twin}.")
     found = Counter(trial.outcome for trial in report.trials)
     rows = [(outcome, count, "yes" if outcome.counts else "no", outcome.sentence) for outcome, count in found.items()]
     print_table(("outcome", "trials", "counts", "meaning"), rows, none="")

@@ -55,7 +55,10 @@ def twin(
     file: Annotated[Path, typer.Argument(help="Where to write the description of the twins (YAML).")],
     secret: Annotated[
         Path | None,
-        typer.Option(help="File whose content draws what the twin hides: friction, gels, cameras; public by default."),
+        typer.Option(
+            help="File whose content draws what the twin hides: friction, gels, cameras; with `twin: B` in it another "
+            "structure, too. Public by default."
+        ),
     ] = None,
     faults: Annotated[Path | None, typer.Option(help="Script of what breaks, and when (YAML).")] = None,
     shape: Annotated[str, typer.Option(help="Peg and hole: cuboid, trapezoid or concave1.")] = "cuboid",
@@ -69,15 +72,17 @@ def twin(
 ) -> None:
     """Run twins of all devices, which behave by our physics, until Ctrl-C or SIGTERM."""
     from vitac.station.twin.bench import Bench
-    from vitac.station.twin.hidden import PUBLIC_SETTINGS, FaultScript, draw_hidden, read_faults
+    from vitac.station.twin.hidden import PUBLIC_TWIN, FaultScript, read_faults, read_secret
     from vitac.station.twin.laboratory import playing_station
 
     from .service.stop_request import SUPERVISION_PERIOD_S, StopRequest
 
     if file.exists():
         raise typer.BadParameter(f"{file} exists; name a new file.")
+    drawn = read_secret(secret) if secret else PUBLIC_TWIN
     bench = Bench(
-        hidden=draw_hidden(secret.read_bytes()) if secret else PUBLIC_SETTINGS,
+        hidden=drawn.hidden,
+        mark=drawn.mark,
         script=read_faults(faults) if faults else FaultScript(),
         mounted=_find_mounted(shape, fusion=fusion),
         period_s=0.1 if fast else 0.04,
@@ -85,7 +90,7 @@ def twin(
     )
     with StopRequest().listening() as stop, playing_station(bench) as station:
         station.write(file)
-        print(f"{file} describes the twins. They run until Ctrl-C; check them with: vitac station check {file}")
+        print(f"{file} describes {drawn.mark}. It runs until Ctrl-C; check them with: vitac station check {file}")
         while not stop.wait(SUPERVISION_PERIOD_S):
             pass
 

@@ -27,6 +27,27 @@ class Calibration(StrictModel):
     """Serial number of the device that was calibrated."""
 
 
+class TwinClass(StrEnum):
+    """How far a twin is from our simulation."""
+
+    A = "A"
+    """The same solver, mesh and contact model with other numbers."""
+    B = "B"
+    """Another structure, too."""
+
+
+class TwinMark(StrictModel):
+    """What says of a station, its trials and its figures that they are a twin's."""
+
+    twin_class: TwinClass
+    without: tuple[Word, ...] = ()
+    """Differences of class B that were switched off."""
+
+    def __str__(self) -> str:
+        off = f" without {', '.join(self.without)}" if self.without else ""
+        return f"a twin of class {self.twin_class}{off}, no hardware"
+
+
 class TactileCalibration(Calibration):
     """Calibration of a tactile sensor."""
 
@@ -248,6 +269,8 @@ class StationDescription(StrictModel):
     limits: StationLimits
     procedure: Procedure | None = None
     """How trials are played; without it a station can only be checked."""
+    twin: TwinMark | None = None
+    """Where it is a twin: every result and figure of it says so."""
 
     @model_validator(mode="after")
     def _check_devices(self) -> Self:

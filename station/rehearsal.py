@@ -22,7 +22,7 @@ from vitac.evaluator.submission.manifest import load_manifest
 from vitac.evaluator.tracks import Episode, Task, Track
 
 from .check import check_station
-from .description import StationDescription, StationTask, read_description
+from .description import StationDescription, StationTask, TwinMark, read_description
 from .outcome import TrialOutcome
 from .trial import Attempt
 from .trials import TrialPlayer
@@ -106,6 +106,8 @@ class RehearsalReport(StrictModel):
     """One result of trials on a station, with the outcome of each."""
 
     station: Word
+    twin: TwinMark | None = None
+    """Where the station is a twin."""
     submission: str
     submission_digest: str
     track: Word
@@ -117,7 +119,7 @@ class RehearsalReport(StrictModel):
     trials: tuple[TrialRecord, ...]
 
     @classmethod
-    def from_trials(cls, trials: Sequence[TrialRecord], **names: str) -> Self:
+    def from_trials(cls, trials: Sequence[TrialRecord], twin: TwinMark | None = None, **names: str) -> Self:
         """Return the result of trials."""
         ends = [
             ((trial.shape, trial.offset), trial.outcome is TrialOutcome.SUCCESS)
@@ -128,6 +130,7 @@ class RehearsalReport(StrictModel):
             rate=rate_by_start(ends) if ends else None,
             without_result=len(trials) - len(ends),
             trials=tuple(trials),
+            twin=twin,
             **names,
         )
 

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from time import thread_time
 from typing import Any
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..fem.contact.forces import PairForces
 from ..fem.model.mesh import GelBody, PronyBranch, RigidBody, SurfaceMesh
-from ..fem.model.settings import AnyContactSettings, ContactSettings, SolverSettings
+from ..fem.model.settings import AnyContactSettings, ContactSettings, SolverSettings, repr_without_defaults
 from ..fem.scene.layout import placed
 from ..fem.scene.scene import Scene, SceneState, StepReport, StepStatus
 from ..tactile.camera import CameraIntrinsics
@@ -51,6 +51,7 @@ class PhysicsSettings:
         gel_friction: friction coefficient of the gels; a pair of bodies has the mean of its two.
         rigid_density_kg_m3: of all rigid parts [kg/m3].
         viscosity: branches of both gels, which then are of hexahedra; modulus and ratio above are those at rest.
+        yeoh: C20 and C30 of both gels over their C10, which then are of hexahedra.
     """
 
     time_step_s: float = 0.1
@@ -62,11 +63,11 @@ class PhysicsSettings:
     gel_friction: float = 87.5
     rigid_density_kg_m3: float = 500.0
     viscosity: tuple[PronyBranch, ...] = ()
+    yeoh: tuple[float, float] = (0.0, 0.0)
 
     def __repr__(self) -> str:
-        """Return all fields, viscosity only where there is any: mesh hashes of settings without it stay as they are."""
-        shown = [each.name for each in fields(self) if each.name != "viscosity" or self.viscosity]
-        return f"{type(self).__qualname__}({', '.join(f'{name}={getattr(self, name)!r}' for name in shown)})"
+        """Return all fields, the last two only where they are set: mesh hashes of settings without them stay."""
+        return repr_without_defaults(self, "viscosity", "yeoh")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -347,6 +348,7 @@ class GraspedScene:
             density_kg_m3=physics.gel_density_kg_m3,
             friction=physics.gel_friction,
             viscosity=physics.viscosity,
+            yeoh=physics.yeoh,
         )
 
     def _step_towards(self, pose: GripperPose) -> None:

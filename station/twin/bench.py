@@ -3,7 +3,7 @@
 import logging
 from collections import deque
 from dataclasses import dataclass, field
-from math import dist
+from math import dist, inf
 from threading import Condition, Event, Lock, Thread
 from time import monotonic
 from typing import Final, Self
@@ -13,7 +13,7 @@ from vitac.envs.assets import Meshes
 from vitac.envs.errors import VitacError
 from vitac.envs.vision.camera import Sight
 
-from ..description import StationTask
+from ..description import StationTask, TwinClass, TwinMark
 from .depth_pictures import DepthCameraTwin
 from .force_torque import ForceTorqueTwin
 from .gel_view import GelView, Picture
@@ -22,6 +22,7 @@ from .gripper import GripperTwin
 from .hidden import FaultScript, HiddenSettings, TwinFault
 from .pictures import CameraFault, CameraTwin
 from .stage import StageFault, StageTwin
+from .structure import FaultyWrench, twin_gel
 
 _logger = logging.getLogger(__name__)
 
@@ -31,6 +32,10 @@ GARAGE: Final[Axes] = (-55.0, 0.0, -30.0, 0.0)
 """Where the stage is while the gripper can close on the peg."""
 PEG_AT: Final = 180
 """Position of the gripper at which its gels meet the peg."""
+GRIP_FORCE: Final = 50
+"""Of the gripper's command at which it closes as far as the hidden indentation; less closes less far."""
+_FLATTEST_MM, _DEEPEST_MM = 0.02, 1.5
+_SETTLED_MM: Final = 1e-5
 _NEAR_MM: Final = 2.0
 _LET_GO: Final = 5
 """Positions by which the gripper opens until the peg is free."""
@@ -51,21 +56,32 @@ class Backlash:
     Attributes:
         play_mm: when it turns round.
         lost: part of each way.
+        stick_mm: way that its guide sticks for before it jumps after the drive.
+        n_mm: stiffness against a force along it.
     """
 
     play_mm: float
     lost: float = 0.0
+    stick_mm: float = 0.0
+    n_mm: float = inf
     _at: float = 0.0
     _commanded: float = 0.0
     _lost_mm: float = 0.0
+    _stuck_at: float = 0.0
+    _given_mm: float = 0.0
 
-    def follow(self, commanded: float) -> float:
-        """Return where the axis really is."""
+    def follow(self, commanded: float, force_n: float = 0.0) -> float:
+        """Return where the axis really is; half of the rest of what a force gives is given each time."""
         self._lost_mm += self.lost * (commanded - self._commanded)
         self._commanded = commanded
         half = 0.5 * self.play_mm
         self._at = min(max(self._at, commanded - half), commanded + half)
-        return self._at - self._lost_mm
+        if abs(self._at - self._stuck_at) > self.stick_mm:
+            self._stuck_at = self._at
+        more_mm = 0.5 * (force_n / self.n_mm - self._given_mm)
+        if abs(more_mm) > _SETTLED_MM:
+            self._given_mm += more_mm
+        return self._stuck_at - self._lost_mm + self._given_mm
 
     def find_steps(self) -> None:
         """Count from the switch again, as homing does."""
@@ -82,6 +98,7 @@ class Bench:
         period_s: time between pictures.
         speed: how much faster than real time it may run; what the computer can do where None.
         script: what breaks.
+        mark: what the station's file says of it.
         now_s: its time.
         contacts: how often the peg has touched the plate.
         begun: what has been broken so far.
@@ -92,21 +109,37 @@ class Bench:
     period_s: float = 0.04
     speed: float | None = 1.0
     script: FaultScript = field(default_factory=FaultScript)
+    mark: TwinMark = field(default_factory=lambda: TwinMark(twin_class=TwinClass.A))
     now_s: float = 0.0
     contacts: int = 0
     begun: list[TwinFault] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self._meshes = Meshes(is_arena=True)
+        structure = self.hidden.structure
+        self._meshes = Meshes(gel=twin_gel(structure), is_arena=True)
         self.stage = StageTwin(clock=self.time_s)
         self.gripper = GripperTwin(clock=self.time_s, object_at=None)
         self.box = ForceTorqueTwin(wrench=self._measure_wrench)
-        self.views = [GelView(self._meshes.gel(), sensor) for sensor in (self.hidden.left, self.hidden.right)]
+        self.views = [
+            GelView(self._meshes.gel(), sensor, structure, self.period_s)
+            for sensor in (self.hidden.left, self.hidden.right)
+        ]
         late = 1 + round(self.hidden.latency_s / self.period_s)
         self._seen: list[deque[Picture]] = [deque(maxlen=late) for _ in self.views]
-        self.cameras = [CameraTwin(picture=_Reader(self, side), period_s=1e-3) for side in range(2)]
+        quality = structure.jpeg_quality
+        self.cameras = [CameraTwin(picture=_Reader(self, side), period_s=1e-3, quality=quality) for side in range(2)]
         lost = self.hidden.lost_steps
-        self._axes = [Backlash(self.hidden.backlash_mm, lost) for _ in range(2)] + [Backlash(self.hidden.backlash_mm)]
+        springs = structure.compliance
+        self._axes = [
+            Backlash(
+                play_mm=self.hidden.backlash_mm,
+                lost=part,
+                stick_mm=springs.stick_mm if springs else 0.0,
+                n_mm=springs.stage_n_mm if springs else inf,
+            )
+            for part in (lost, lost, 0.0)
+        ]
+        self._faulty_wrench = FaultyWrench(structure.wrench) if structure.wrench else None
         self.depth_camera = DepthCameraTwin(look=self.look) if self.mounted.task is StationTask.FUSION else None
         self.held: HeldPeg | None = None
         self._is_in_garage, self._is_touching = True, False
@@ -117,7 +150,7 @@ class Bench:
         self._number, self._taken = 0, [0, 0]
         self._changed, self._over, self._world = Condition(), Event(), Lock()
         # Kernels are loaded now: later, none of the twin's lines would answer meanwhile.
-        self._garaged = hold_peg(self.mounted, self._in_world(GARAGE), self.hidden, self._meshes)
+        self._garaged = self._hold(GARAGE)
         self._look(self._garaged)
         self._garaged.wrench()
         self._garaged.look()
@@ -222,7 +255,11 @@ class Bench:
         is_torn = any(fault is TwinFault.TORN_GEL for _, fault in self._running)
         drift_px = self.hidden.drift_px_h * self.now_s / 3600.0
         torn = (is_torn, False)
-        pictures = [view.picture(drift_px=drift_px, is_torn=gone) for view, gone in zip(self.views, torn, strict=True)]
+        age_h = self.now_s / 3600.0
+        pictures = [
+            view.picture(drift_px=drift_px, is_torn=gone, age_h=age_h)
+            for view, gone in zip(self.views, torn, strict=True)
+        ]
         with self._changed:
             for seen, picture in zip(self._seen, pictures, strict=True):
                 seen.append(picture)
@@ -231,7 +268,7 @@ class Bench:
 
     def _move(self) -> None:
         *linear, rotation_deg = self.stage.axes()
-        x, y, z = (axis.follow(value) for axis, value in zip(self._axes, linear, strict=True))
+        x, y, z = (axis.follow(*each) for axis, *each in zip(self._axes, linear, self._wrench[:3], strict=True))
         if linear == [0.0, 0.0, 0.0]:
             for axis in self._axes:
                 axis.find_steps()
@@ -249,12 +286,18 @@ class Bench:
 
     def _grasp(self, at: Axes) -> None:
         try:
-            self.held = hold_peg(self.mounted, self._in_world(at), self.hidden, self._meshes)
+            self.held = self._hold(at, self.gripper.force)
         except VitacError as error:
             _logger.warning("The twin's gripper could not close on the peg: %s", error)
         else:
             self._is_in_garage = False
             self._look(self.held)
+
+    def _hold(self, at: Axes, force: int = GRIP_FORCE) -> HeldPeg:
+        """Return the peg in the gripper, whose force says how far it closes."""
+        indentation_mm = min(self.hidden.indentation_mm * force / GRIP_FORCE, _DEEPEST_MM)
+        hidden = self.hidden.model_copy(update={"indentation_mm": max(indentation_mm, _FLATTEST_MM)})
+        return hold_peg(self.mounted, self._in_world(at), hidden, self._meshes, self.period_s)
 
     def _let_go(self) -> None:
         self.held, self._wrench, self._is_touching = None, _NO_WRENCH, False
@@ -298,7 +341,10 @@ class Bench:
     def _measure_wrench(self) -> Wrench:
         if any(fault is TwinFault.FORCE_SPIKE for _, fault in self._running):
             return (0.0, 0.0, _SPIKE_N, 0.0, 0.0, 0.0)
-        x, y, z, turn_x, turn_y, turn_z = (self._wrench + self._generator.normal(0.0, _NOISE)).tolist()
+        wrench = np.array(self._wrench)
+        if self._faulty_wrench is not None:
+            wrench = self._faulty_wrench.show(wrench)
+        x, y, z, turn_x, turn_y, turn_z = (wrench + self._generator.normal(0.0, _NOISE)).tolist()
         return x, y, z + self.hidden.force_drift_n_h * self.now_s / 3600.0, turn_x, turn_y, turn_z
 
 

@@ -16,6 +16,7 @@ from vitac.envs.vision.tactile_picture import TactileCamera
 
 from .hidden import HiddenSensor
 from .pictures import SUBPIXELS, GelCamera
+from .structure import HiddenStructure, Print
 
 Positions = NDArray[np.float64]
 
@@ -120,6 +121,12 @@ _WIDTH, _HEIGHT = 448, 338
 _CORNER_PX: Final = 200.0
 _NO_BODY: Final = (np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
 _UNMOVED_M: Final = 1e-7
+_PICTURE_ROWS: Final = 240.0
+_AGES_PER_H: Final = 100
+"""So often the light is another one."""
+_SCATTER: Final = 1
+"""Sets the scatter of the print apart from all else that is drawn from a sensor's seed."""
+_NO_STRUCTURE: Final = HiddenStructure()
 _TORN_PX: Final = 70.0
 """Radius of what a tear takes out of the picture."""
 _TORN_AT_PX: Final = np.array((190.0, 110.0))
@@ -132,13 +139,16 @@ class GelView:
         markers: how many there are.
     """
 
-    def __init__(self, gel: GelMesh, sensor: HiddenSensor) -> None:
-        self._gel, self._sensor = gel, sensor
+    def __init__(
+        self, gel: GelMesh, sensor: HiddenSensor, structure: HiddenStructure = _NO_STRUCTURE, period_s: float = 0.04
+    ) -> None:
+        self._gel, self._sensor, self._structure, self._period_s = gel, sensor, structure, period_s
+        self._shown_px: FloatArray | None = None
         self._generator = np.random.default_rng(sensor.seed)
         self._camera = GelCamera(width=_WIDTH, height=_HEIGHT, defocus_px=sensor.defocus_px)
         self._noise = self._generator.normal(0.0, sensor.noise, (2 * _HEIGHT, 2 * _WIDTH, 3)).astype(np.float32)
         self._seen_m: FloatArray | None = None
-        self._lit_as: tuple[int, bool] | None = None
+        self._lit_as: tuple[int, bool, int, bool] | None = None
         self._surface_camera = TactileCamera(gel)
         self._eye_m = eye_distance_m(gel)
         self._attach()
@@ -170,26 +180,42 @@ class GelView:
         self._surface, self._torn = self._camera.framed(cut), _tear(cut)
         self._markers_px = self._lens(project(interpolated(gel_m, self._corners, self._weights), CHALLENGE_CAMERA))
 
-    def picture(self, *, drift_px: float = 0.0, is_torn: bool = False) -> Picture:
+    def picture(self, *, drift_px: float = 0.0, is_torn: bool = False, age_h: float = 0.0) -> Picture:
         """Take a picture of the camera, blue first.
 
         Args:
             drift_px: by which the markers have left their places.
             is_torn: whether a part of the gel is gone.
+            age_h: since the light was new [h].
         """
-        drift = round(drift_px * SUBPIXELS)
-        if self._lit_as != (drift, is_torn):
-            self._lit, self._lit_as = self._light(drift / SUBPIXELS, is_torn), (drift, is_torn)
+        state = round(drift_px * SUBPIXELS), is_torn, round(age_h * _AGES_PER_H), self._is_moving()
+        if self._lit_as != state:
+            self._lit, self._lit_as = self._light(state[0] / SUBPIXELS, is_torn), state
+            if any(self._structure.fading_h):
+                self._lit *= np.exp(-age_h * np.array(self._structure.fading_h, np.float32))
+        self._shown_px = self._markers_px
         rows, columns = self._generator.integers((_HEIGHT, _WIDTH)).tolist()
         return self._camera.expose(self._lit, self._noise[rows : rows + _HEIGHT, columns : columns + _WIDTH])
 
+    def _is_moving(self) -> bool:
+        """Say whether a shutter that takes its time sees another picture than a gel at rest."""
+        is_slow = self._structure.readout_s > 0.0 or self._structure.exposure_s > 0.0
+        return bool(is_slow and self._shown_px is not None and np.any(self._shown_px != self._markers_px))
+
     def _light(self, drift_px: float, is_torn: bool) -> NDArray[np.float32]:
         markers_px, darkness, surface = self._markers_px + drift_px, self._darkness, self._surface
+        smear_px = None
+        if self._shown_px is not None and self._is_moving():
+            velocity_px_s = (self._markers_px - self._shown_px) / self._period_s
+            late_s = self._structure.readout_s * (1.0 - markers_px[:, 1:] / _PICTURE_ROWS)  # the last row is read last
+            markers_px = markers_px - late_s * velocity_px_s
+            smear_px = self._structure.exposure_s * velocity_px_s
         if is_torn:
             is_whole = np.linalg.norm(markers_px - _TORN_AT_PX, axis=1) > _TORN_PX
             markers_px, darkness = markers_px[is_whole], darkness[is_whole]
+            smear_px = smear_px[is_whole] if smear_px is not None else None
             surface = self._camera.framed(self._torn)
-        return self._camera.print_markers(surface, markers_px, darkness)
+        return self._camera.print_markers(surface, markers_px, darkness, smear_px)
 
     @property
     def markers(self) -> int:
@@ -200,6 +226,8 @@ class GelView:
         """Print the markers of the challenge's grid, each a little beside its place, and wear some of them off."""
         grid_px = marker_grid()
         grid_px += self._generator.uniform(-self._sensor.misprint_px, self._sensor.misprint_px, grid_px.shape)
+        if self._structure.print is not None:
+            grid_px = _print_off(self._structure.print, grid_px, np.random.default_rng((self._sensor.seed, _SCATTER)))
         focal = np.array(CHALLENGE_CAMERA[:2])
         top_m = float(self._gel.rest_position_m[:, 2].max()) + self._eye_m
         in_camera_m = (grid_px - CHALLENGE_CAMERA[2:]) * top_m / focal
@@ -233,6 +261,14 @@ class GelView:
         turn[:, 2] += np.array(self._sensor.shift_px)
         moved = cv2.warpAffine(surface, turn, (320, 240), borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(np.clip(moved * self._sensor.light, 0, 255), dtype=np.uint8)
+
+
+def _print_off(off: Print, grid_px: FloatArray, generator: np.random.Generator) -> FloatArray:
+    """Return where markers are printed in place of a grid."""
+    sine, cosine = np.sin(np.radians(off.turn_deg)), np.cos(np.radians(off.turn_deg))
+    arm = (grid_px - _MIDDLE_PX) * (1.0 + off.stretch, 1.0 - off.stretch)
+    moved = arm @ np.array([[cosine, sine], [-sine, cosine]]) + _MIDDLE_PX + off.shift_px
+    return np.asarray(moved + generator.normal(0.0, off.scatter_px, grid_px.shape))
 
 
 def _tear(surface: Picture) -> Picture:

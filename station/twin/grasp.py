@@ -1,14 +1,16 @@
 """The twin's peg, gels and plate: the simulation of the envs, driven by where the stage and the gripper really are."""
 
 import logging
-from dataclasses import dataclass
-from math import ceil, radians
+from dataclasses import dataclass, replace
+from math import ceil, cos, radians, sin
 from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from vitac.envs.assets import Meshes
-from vitac.envs.fem.model.mesh import GEL_MATERIAL, PART_MATERIAL
-from vitac.envs.fem.model.settings import ArenaContactSettings, PairFriction
+from vitac.envs.deterministic_math import sine_cosine
+from vitac.envs.fem.model.mesh import GEL_MATERIAL, PART_MATERIAL, PronyBranch, RigidBody, SurfaceMesh
+from vitac.envs.fem.model.settings import ArenaContactSettings, FrictionWeakening, PairFriction
 from vitac.envs.geometry.bases import RIM_MM
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import Clocks, PhysicsSettings, Stopwatch
@@ -32,13 +34,16 @@ from vitac.envs.vision.pinhole import RigShift
 
 from ..description import StationTask
 from .hidden import HiddenSettings
+from .structure import Compliance, Tilt
 
 _logger = logging.getLogger(__name__)
 
 Axes = tuple[float, float, float, float]
 Wrench = tuple[float, float, float, float, float, float]
 
-_TIME_STEP_S: Final = 0.04
+TIME_STEP_S: Final = 0.04
+_CREEP: Final = 4.0
+"""After as many of its longest relaxation times a gel at rest has crept."""
 _WAY_MM: Final = 0.5
 """Longest way in one IPC step."""
 _TURN_DEG: Final = 1.0
@@ -73,6 +78,28 @@ class _Grasp:
     pose: GripperPose
 
 
+class FingerSprings:
+    """Springs of both fingers along the direction in which they close."""
+
+    def __init__(self, compliance: Compliance) -> None:
+        self._n_m = 1e3 * compliance.finger_n_mm
+        self._opened_m, self._shifted_m = 0.0, 0.0
+
+    def give(self, pose: GripperPose, gel_forces_n: NDArray[np.float64]) -> GripperPose:
+        """Return where a pose gives way to; half of the rest of the way each time, so that it settles.
+
+        Args:
+            pose: of rigid fingers.
+            gel_forces_n: of contacts on the left and the right gel, shape [2, 3].
+        """
+        closing = np.array((-sin(pose.angle_rad), cos(pose.angle_rad), 0.0))
+        left, right = gel_forces_n @ closing
+        self._opened_m += 0.5 * (0.5 * (left - right) / self._n_m - self._opened_m)
+        self._shifted_m += 0.5 * (0.5 * (left + right) / self._n_m - self._shifted_m)
+        x_m, y_m, _ = self._shifted_m * closing
+        return pose.moved(x_m=x_m, y_m=y_m, closing_m=-self._opened_m)
+
+
 class HeldPeg:
     """A peg between two gels, from its grasp until it is released.
 
@@ -80,20 +107,26 @@ class HeldPeg:
         scene: gels, peg and plate.
     """
 
-    def __init__(self, peg: InsertionScene[Any, Any], axes: Axes) -> None:
+    def __init__(self, peg: "_TiltedParts", axes: Axes, fingers: Compliance | None) -> None:
         """Close on a peg that stands upright where the gripper is."""
         self._peg = peg
         InsertionScene.grasp(self._peg)
         self.scene = self._peg.grasped
         self._start = _Grasp(axes=axes, pose=self.scene.pose)
         self._axes = axes
+        relaxation_s = max((branch.relaxation_time_s for branch in self.scene.physics.viscosity), default=0.0)
+        self._creeping_steps = round(_CREEP * relaxation_s / self.scene.physics.time_step_s)
+        self._rest_steps = 0
+        self._springs = fingers and FingerSprings(fingers)
 
     def follow(self, axes: Axes) -> bool:
         """Move the gripper with the stage, in IPC steps that are short enough; return whether anything moved.
 
-        Where the physics finds no solution nothing moves, and the next call tries again.
+        A viscous gel moves at rest, too, until its branches have relaxed. Where the physics finds no solution nothing
+        moves, and the next call tries again.
         """
-        if axes == self._axes:
+        self._rest_steps = self._rest_steps + 1 if axes == self._axes else 0
+        if self._rest_steps > self._creeping_steps:
             return False
         way_mm = max(abs(a - b) for a, b in zip(axes[:3], self._axes[:3], strict=True))
         steps = max(1, ceil(way_mm / _WAY_MM), ceil(abs(axes[3] - self._axes[3]) / _TURN_DEG))
@@ -101,6 +134,8 @@ class HeldPeg:
         goal = self._start.pose.moved(
             x_m=1e-3 * x_mm, y_m=1e-3 * y_mm, z_m=1e-3 * z_mm, angle_rad=radians(rotation_deg)
         )
+        if self._springs:
+            goal = self._springs.give(goal, self.scene.contact_forces_n()[1:])
         before = self.scene.state()
         self.scene.move_to(goal, ipc_steps=steps)
         if not self.scene.solved:
@@ -140,8 +175,21 @@ class HeldPeg:
         return -float(self._peg.peg_relative_z_mm().max())
 
 
-def hold_peg(mounted: "Mounted", axes: Axes, hidden: HiddenSettings, meshes: Meshes) -> HeldPeg:
-    """Return the mounted peg in the gripper, where that is now."""
+def hold_peg(
+    mounted: "Mounted", axes: Axes, hidden: HiddenSettings, meshes: Meshes, period_s: float = TIME_STEP_S
+) -> HeldPeg:
+    """Return the mounted peg in the gripper, where that is now.
+
+    Args:
+        mounted: what is held.
+        axes: of the stage, from the hole.
+        hidden: what it is really like.
+        meshes: of the gels and the parts.
+        period_s: time between two calls of `HeldPeg.follow`, as long as an IPC step of viscous gels.
+    """
+    structure = hidden.structure
+    tilt = structure.tilt or Tilt(peg_deg=0.0, plate_deg=(0.0, 0.0))
+    physics = _physics(hidden, period_s if structure.viscosity or structure.weakening else TIME_STEP_S)
     x_mm, y_mm, z_mm, rotation_deg = axes
     clocks = Clocks(physics=Stopwatch(), markers=Stopwatch())
     # The peg stands where the gripper is, but for the grasp.
@@ -157,39 +205,69 @@ def hold_peg(mounted: "Mounted", axes: Axes, hidden: HiddenSettings, meshes: Mes
         start = FusionStart(offset=place, target=target)
         return HeldPeg(
             _SeenPeg(
+                tilt,
                 start=start,
                 meshes=meshes,
-                settings=_settings(FusionInsertionSettings, hidden),
+                settings=_settings(FusionInsertionSettings, hidden, physics),
                 clocks=clocks,
                 rig=_rig(hidden),
             ),
             axes,
+            structure.compliance,
         )
     offset = PegOffset(x_mm=x_mm, y_mm=y_mm, theta_deg=rotation_deg)
     raised = _RaisedPeg(
+        tilt,
         z_mm - START_GAP_MM,  # PegScene places it above the plate's face
         start=PegStart(shape=PegShape(mounted.shape), offset=offset),
         meshes=meshes,
-        settings=_settings(PegInsertionSettings, hidden),
+        settings=_settings(PegInsertionSettings, hidden, physics),
         clocks=clocks,
     )
-    return HeldPeg(raised, axes)
+    return HeldPeg(raised, axes, structure.compliance)
 
 
-class _RaisedPeg(PegScene):
+class _TiltedParts(InsertionScene[Any, Any]):
+    """A peg that hangs, and a part with a hole that lies, not quite upright."""
+
+    def __init__(self, tilt: Tilt, **scene: Any) -> None:
+        self._tilt = tilt
+        super().__init__(**scene)
+
+    def _place_fixed(self, mesh: SurfaceMesh, friction: float) -> RigidBody:
+        top_m = np.array((0.0, 0.0, float(mesh.vertices_m[:, 2].max())))
+        return _turned(super()._place_fixed(mesh, friction), self._tilt.plate_deg, top_m)
+
+    def _placed_peg(self) -> RigidBody:
+        upright = super()._placed_peg()
+        pose = self._open_pose(self.offset)
+        sine, cosine = sine_cosine(pose.angle_rad)
+        about_closing = -sine * self._tilt.peg_deg, cosine * self._tilt.peg_deg
+        return _turned(upright, about_closing, np.array((pose.x_m, pose.y_m, pose.z_m)))
+
+
+def _turned(body: RigidBody, tilt_deg: tuple[float, float], about_m: NDArray[np.float64]) -> RigidBody:
+    """Return a body turned about the world's x axis, then its y axis, through a point."""
+    if tilt_deg == (0.0, 0.0):
+        return body
+    (sx, cx), (sy, cy) = (sine_cosine(radians(angle)) for angle in tilt_deg)
+    turn = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]]) @ np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    return replace(body, rotation=turn @ body.rotation, translation_m=about_m + turn @ (body.translation_m - about_m))
+
+
+class _RaisedPeg(_TiltedParts, PegScene):
     """A peg that stands at a height above the plate."""
 
-    def __init__(self, height_mm: float, *, start: PegStart, meshes: Meshes, settings: PegInsertionSettings,
-                 clocks: Clocks) -> None:  # fmt: skip
+    def __init__(self, tilt: Tilt, height_mm: float, **scene: Any) -> None:
         self._height_mm = height_mm
-        super().__init__(start=start, meshes=meshes, settings=settings, clocks=clocks)
+        super().__init__(tilt, **scene)
 
     def _lower_end_mm(self, offset: PegOffset) -> tuple[float, float, float]:
         x_mm, y_mm, z_mm = super()._lower_end_mm(offset)
         return x_mm, y_mm, z_mm + self._height_mm
 
 
-class _SeenPeg(FusionScene):
+class _SeenPeg(_TiltedParts, FusionScene):
     """A peg above the base with two holes, at which a camera looks that moves with the stage."""
 
     def look_from(self, x_mm: float, y_mm: float, theta_deg: float, z_mm: float) -> Sight:
@@ -208,28 +286,34 @@ class _SeenPeg(FusionScene):
 _Settings = TypeVar("_Settings", PegInsertionSettings, FusionInsertionSettings)
 
 
-def _settings(kind: type[_Settings], hidden: HiddenSettings) -> _Settings:
+def _settings(kind: type[_Settings], hidden: HiddenSettings, physics: PhysicsSettings) -> _Settings:
     return kind(
+        clearance_mm=kind.clearance_mm + hidden.structure.tolerance_mm,
         indentation_mm=hidden.indentation_mm,
         gripper_x_mm=hidden.grasp_x_mm,
         gripper_z_mm=_GRIP_MM + hidden.grasp_z_mm,
-        physics=_physics(hidden),
+        physics=physics,
     )
 
 
-def _physics(hidden: HiddenSettings) -> PhysicsSettings:
+def _physics(hidden: HiddenSettings, time_step_s: float) -> PhysicsSettings:
+    structure = hidden.structure
     contact = ArenaContactSettings(
         pair_frictions=(
             PairFriction(first=GEL_MATERIAL, second=PART_MATERIAL, coefficient=hidden.gel_friction),
             PairFriction(first=PART_MATERIAL, second=PART_MATERIAL, coefficient=hidden.plate_friction),
             PairFriction(first=GEL_MATERIAL, second=GEL_MATERIAL, coefficient=hidden.gel_friction),
-        )
+        ),
+        weakening=structure.weakening
+        and FrictionWeakening(structure.weakening.kinetic_ratio, 1e-3 * structure.weakening.speed_mm_s),
     )
     return PhysicsSettings(
-        time_step_s=_TIME_STEP_S,
+        time_step_s=time_step_s,
         contact=contact,
         youngs_modulus_pa=hidden.youngs_modulus_pa,
         poisson_ratio=hidden.poisson_ratio,
+        viscosity=tuple(PronyBranch(**branch.model_dump()) for branch in structure.viscosity),
+        yeoh=structure.yeoh or (0.0, 0.0),
     )
 
 

@@ -63,6 +63,11 @@ class GripperTwin:
         step = reach * (self.clock() - self._began_s)
         return min(self._start + step, target) if target > self._start else max(self._start - step, target)
 
+    @property
+    def force(self) -> int:
+        """Force of the last command, 0 to 255."""
+        return self._command[2] & 0xFF
+
     def stick(self) -> None:
         """Leave the fingers where they are."""
         self._start, self._began_s = self.position(), self.clock()

@@ -1,14 +1,18 @@
-"""What a twin hides from what plays on it: its true numbers, and the script of its faults."""
+"""What a twin hides from what plays on it: its true numbers and structure, and the script of its faults."""
 
 import hashlib
 from enum import StrEnum
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
+import yaml
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 from vitac.envs.tasks.settings import SILICONE_POISSON_RATIO
-from vitac.evaluator.strict_model import StrictModel, read_yaml
+from vitac.evaluator.strict_model import StrictModel, read_yaml, validate
+
+from ..description import TwinClass, TwinMark
+from .structure import Difference, HiddenStructure, draw_structure
 
 Pair = tuple[float, float]
 
@@ -36,7 +40,7 @@ class HiddenSensor(StrictModel):
 
 
 class HiddenSettings(StrictModel):
-    """A twin; the defaults are public, those of rehearsals."""
+    """A twin in numbers; the defaults are public, those of rehearsals."""
 
     gel_friction: PositiveFloat = 1.0
     """Coefficient of a gel against the peg."""
@@ -68,6 +72,7 @@ class HiddenSettings(StrictModel):
     """How the RGB-D camera is mounted off its place: x and z [mm], turn [deg]."""
     left: HiddenSensor = HiddenSensor(seed=1)
     right: HiddenSensor = HiddenSensor(seed=2)
+    structure: HiddenStructure = HiddenStructure()
 
 
 PUBLIC_SETTINGS: Final = HiddenSettings()
@@ -76,7 +81,7 @@ PUBLIC_SETTINGS: Final = HiddenSettings()
 
 def draw_hidden(secret: bytes) -> HiddenSettings:
     """Draw a twin from a secret; the same secret gives the same twin."""
-    generator = np.random.default_rng(int.from_bytes(hashlib.sha256(secret).digest()))
+    generator = _generator(secret)
 
     def between(low: float, high: float) -> float:
         return float(generator.uniform(low, high))
@@ -100,6 +105,55 @@ def draw_hidden(secret: bytes) -> HiddenSettings:
         rig=(between(-0.5, 0.5), between(-0.5, 0.5), between(-0.1, 0.1)),
         poisson_ratio=between(0.45, 0.49),
     )
+
+
+class TwinSecret(StrictModel):
+    """Secret file of a twin whose class is chosen."""
+
+    secret: str
+    """From which everything is drawn."""
+    twin: TwinClass = TwinClass.A
+    without: tuple[Difference, ...] = ()
+    """Differences of class B that are switched off; nothing else changes."""
+
+
+class Twin(NamedTuple):
+    """A twin, and what its station's file says of it."""
+
+    hidden: HiddenSettings
+    mark: TwinMark
+
+
+PUBLIC_TWIN: Final = Twin(PUBLIC_SETTINGS, TwinMark(twin_class=TwinClass.A))
+
+
+def read_secret(path: Path) -> Twin:
+    """Return the twin of a secret file: what `TwinSecret` says in YAML, or any other content for one of class A.
+
+    Raises:
+        DocumentRejected: with one sentence for each thing that is wrong in it.
+    """
+    content = path.read_bytes()
+    try:
+        document = yaml.safe_load(content)
+    except (yaml.YAMLError, UnicodeDecodeError):
+        document = None
+    if not isinstance(document, dict):
+        return Twin(draw_hidden(content), TwinMark(twin_class=TwinClass.A))
+    return make_twin(validate(TwinSecret, document, str(path)))
+
+
+def make_twin(chosen: TwinSecret) -> Twin:
+    """Return the twin that a secret says."""
+    hidden = draw_hidden(chosen.secret.encode())
+    if chosen.twin is TwinClass.B:
+        structure = draw_structure(_generator(f"structure {chosen.secret}".encode())).without(chosen.without)
+        hidden = hidden.model_copy(update={"structure": structure})
+    return Twin(hidden, TwinMark(twin_class=chosen.twin, without=chosen.without))
+
+
+def _generator(secret: bytes) -> np.random.Generator:
+    return np.random.default_rng(int.from_bytes(hashlib.sha256(secret).digest()))
 
 
 def _draw_sensor(generator: np.random.Generator) -> HiddenSensor:

@@ -21,13 +21,14 @@ import yaml
 from numpy.typing import NDArray
 from vitac.envs.vision.optics import COLOUR_INTRINSICS, HEIGHT_PX, WIDTH_PX
 
+from ..description import TwinMark
 from .bench import GARAGE, HOLE, Bench
 from .depth_pictures import UNITS_PER_M, DepthCameraTwin
 from .force_torque import ForceTorqueTwin
 from .gel_view import SMALL_CAMERA, marker_grid
 from .grasp import CUBOID_PEG, Mounted
 from .gripper import GripperTwin
-from .hidden import FaultScript, HiddenSettings, TwinFault
+from .hidden import PUBLIC_TWIN, FaultScript, HiddenSettings, TwinFault
 from .overview import OverviewTwin
 from .pictures import CameraTwin
 from .stage import StageTwin
@@ -147,6 +148,7 @@ def playing_station(bench: Bench) -> Iterator[TwinStation]:
         stack.enter_context(bench)
         station = _at_lines(stack, left, right, box, bench.stage, bench.gripper)
         station.description["limits"] |= _PLAYING_LIMITS
+        station.description["twin"] = bench.mark.model_dump(mode="json")
         station.description["procedure"] = {
             "shape": str(bench.mounted.shape),
             "hole": _describe_place(HOLE),
@@ -282,11 +284,12 @@ def twin_process(
     mounted: Mounted = CUBOID_PEG,
     script: FaultScript | None = None,
     period_s: float = 0.1,
+    mark: TwinMark = PUBLIC_TWIN.mark,
 ) -> Iterator[RunningTwin]:
     """Start a twin that runs as fast as it can."""
     context = get_context("spawn")
     ours, theirs = context.Pipe()
-    arguments = (theirs, hidden, mounted, script or FaultScript(), period_s)
+    arguments = (theirs, hidden, mounted, script or FaultScript(), period_s, mark)
     process = context.Process(target=_run, args=arguments, daemon=True)
     process.start()
     theirs.close()
@@ -297,12 +300,19 @@ def twin_process(
         process.join()
 
 
-def _run(caller: Connection, hidden: HiddenSettings, mounted: Mounted, script: FaultScript, period_s: float) -> None:
+def _run(
+    caller: Connection,
+    hidden: HiddenSettings,
+    mounted: Mounted,
+    script: FaultScript,
+    period_s: float,
+    mark: TwinMark,
+) -> None:
     """Run until the caller closes its end of the pipe or dies."""
     import cv2
 
     cv2.setNumThreads(1)
-    bench = Bench(hidden=hidden, mounted=mounted, script=script, period_s=period_s, speed=None)
+    bench = Bench(hidden=hidden, mounted=mounted, script=script, period_s=period_s, speed=None, mark=mark)
     with playing_station(bench) as station:
         caller.send(station.description)
         while True:

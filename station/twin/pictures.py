@@ -41,12 +41,14 @@ class CameraTwin:
     Attributes:
         picture: gives the next picture, shape [height, width, 3], blue first.
         period_s: time between pictures.
+        quality: of its JPEG.
         faults: what is broken now.
         streams: number of readers.
     """
 
     picture: Callable[[], Picture]
     period_s: float = 0.04
+    quality: int = _QUALITY
     faults: set[CameraFault] = field(default_factory=set)
     streams: int = 0
     _over: Event = field(default_factory=Event)
@@ -87,7 +89,7 @@ class CameraTwin:
         jpeg, due_s = b"", monotonic()
         while not self._over.is_set() and CameraFault.UNPLUGGED not in self.faults:
             if not jpeg or CameraFault.FROZEN not in self.faults:
-                jpeg = cv2.imencode(".jpg", self.picture(), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
+                jpeg = cv2.imencode(".jpg", self.picture(), [cv2.IMWRITE_JPEG_QUALITY, self.quality])[1].tobytes()
             head = f"--{_BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
             write(head.encode() + jpeg + b"\r\n")
             due_s = max(due_s + self.period_s, monotonic() - self.period_s)
@@ -139,6 +141,8 @@ _LIGHTS: Final = (  # direction in the picture, and colour (blue first)
     ((-0.5, -0.87), (30.0, 30.0, 120.0)),
 )
 _AMBIENT: Final = 70.0
+_MOMENTS: Final = (-0.5, -0.25, 0.0, 0.25, 0.5)
+"""Parts of an exposure, from its middle, of which a smeared picture is the mean."""
 _SUBPIXEL_BITS: Final = 4
 SUBPIXELS: Final = 1 << _SUBPIXEL_BITS
 """Markers are printed at places of as many parts of a pixel."""
@@ -196,19 +200,38 @@ class GelCamera:
         shading: NDArray[np.float32],
         markers_px: NDArray[np.float64],
         darkness: NDArray[np.float64] | None,
+        smear_px: NDArray[np.float64] | None = None,
     ) -> NDArray[np.float32]:
-        """Return a lit gel with its markers, without noise, shape [height, width, 3]."""
+        """Return a lit gel with its markers, without noise, shape [height, width, 3].
+
+        Args:
+            shading: of the gel without markers.
+            markers_px: their centres in the cut picture, shape [n, 2] [pixel].
+            darkness: of each, shape [n].
+            smear_px: how far each moves while the shutter is open, shape [n, 2] [pixel].
+        """
+        import cv2
+
+        scale_x, scale_y = self._scales()
+        depths = np.full(len(markers_px), self.darkness) if darkness is None else darkness
+        moments = (0.0,) if smear_px is None else _MOMENTS
+        light = np.zeros((self.height, self.width), np.float32)
+        for moment in moments:
+            there_px = markers_px if smear_px is None else markers_px + moment * smear_px
+            light += self._shadows(there_px, depths) / len(moments)
+        blurred = cv2.GaussianBlur(light, (0, 0), self.defocus_px * scale_x, sigmaY=self.defocus_px * scale_y)
+        return np.asarray(cv2.multiply(shading, cv2.merge((blurred, blurred, blurred))), dtype=np.float32)
+
+    def _shadows(self, markers_px: NDArray[np.float64], darkness: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Return what sharp markers leave of the light, shape [height, width]."""
         import cv2
 
         light = np.ones((self.height, self.width), np.float32)
-        scale_x, scale_y = self._scales()
-        radius = round(self.marker_radius_px * scale_x * SUBPIXELS)
-        depths = np.full(len(markers_px), self.darkness) if darkness is None else darkness
-        for (u, v), depth in zip(self.from_cut(markers_px), depths, strict=True):
+        radius = round(self.marker_radius_px * self._scales()[0] * SUBPIXELS)
+        for (u, v), depth in zip(self.from_cut(markers_px), darkness, strict=True):
             centre = (round(u * SUBPIXELS), round(v * SUBPIXELS))
             cv2.circle(light, centre, radius, 1.0 - float(depth), -1, cv2.LINE_8, _SUBPIXEL_BITS)
-        blurred = cv2.GaussianBlur(light, (0, 0), self.defocus_px * scale_x, sigmaY=self.defocus_px * scale_y)
-        return np.asarray(cv2.multiply(shading, cv2.merge((blurred, blurred, blurred))), dtype=np.float32)
+        return light
 
     def from_cut(self, positions_px: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return where positions of the cut picture are in the camera's, shape [n, 2] [pixel]."""

@@ -45,6 +45,7 @@ from ..model.model import HEXAHEDRON_NODES as NODES
 from ..model.model import MODES, NO_MATRIX, PROJECTED_MATRIX, Hexahedra, NewtonSystem, get_mode, weight_place
 from .neo_hookean import lame_parameters_pa
 from .viscosity import deviator
+from .yeoh import yeoh_slopes
 
 FloatArray = NDArray[np.float64]
 
@@ -173,6 +174,11 @@ def _write_forces(hexahedra: Hexahedra, h: int, scratch: HexahedronScratch) -> t
             force[k, i] = total
     if hexahedra.viscous_pa[h] > 0.0:
         _add_viscous_forces(hexahedra, h, (c0, c1, c2), scratch)
+    if hexahedra.yeoh_pa[h, 0] != 0.0 or hexahedra.yeoh_pa[h, 1] != 0.0:
+        first, _ = yeoh_slopes((c0, c1, c2), hexahedra.yeoh_pa[h, 0], hexahedra.yeoh_pa[h, 1])
+        for k in range(COLUMNS):
+            for i in range(3):
+                force[k, i] += 2.0 * volume * first * modes[k, i]
     for m in range(HOURGLASS_VECTORS):
         for i in range(3):
             force[COLUMNS + m, i] = stress[m, 0] * c0[i] + stress[m, 1] * c1[i] + stress[m, 2] * c2[i]
@@ -208,6 +214,16 @@ def _add_viscous_jacobian(factor: float, c: Mat3, scratch: HexahedronScratch, ma
             if matrix != PROJECTED_MATRIX:
                 for i in range(3):
                     jacobian[k, j, i, i] += viscous[k, j]
+
+
+@kernel
+def _add_yeoh_jacobian(own: float, mixed: float, c: Mat3, jacobian: FloatArray) -> None:
+    """Add own I to the blocks of the columns' own, and mixed c_k c_j^T to all of theirs."""
+    for k in range(COLUMNS):
+        for j in range(COLUMNS):
+            _add_outer(jacobian[k, j], mixed, c[k], c[j])
+        for i in range(3):
+            jacobian[k, k, i, i] += own
 
 
 @kernel
@@ -290,6 +306,11 @@ def _write_jacobian(hexahedra: Hexahedra, h: int, pressure: float, scratch: Hexa
             _set_both(jacobian, COLUMNS + m, k, block)
     if hexahedra.viscous_pa[h] > 0.0:
         _add_viscous_jacobian(volume * hexahedra.viscous_pa[h], c, scratch, matrix)
+    if hexahedra.yeoh_pa[h, 0] != 0.0 or hexahedra.yeoh_pa[h, 1] != 0.0:
+        first, second = yeoh_slopes(c, hexahedra.yeoh_pa[h, 0], hexahedra.yeoh_pa[h, 1])
+        if not is_exact:
+            first, second = max(first, 0.0), max(second, 0.0)
+        _add_yeoh_jacobian(2.0 * volume * first, 4.0 * volume * second, c, jacobian)
 
 
 @kernel

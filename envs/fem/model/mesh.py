@@ -441,6 +441,7 @@ class GelBody:
         friction: friction coefficient [-], for contact models that take the mean of two bodies.
         material: its name, for contact models with friction coefficients by pair of materials.
         viscosity: branches beside the elasticity, whose constants are those of a gel at rest; for hexahedra.
+        yeoh: C20 and C30 over C10, see `elastic.yeoh`; for hexahedra.
     """
 
     mesh: GelMesh
@@ -452,6 +453,7 @@ class GelBody:
     friction: float = 87.5
     material: str = GEL_MATERIAL
     viscosity: tuple[PronyBranch, ...] = ()
+    yeoh: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -47,6 +47,7 @@ class Hexahedra(NamedTuple):
     lambda_pa: FloatArray  # [c]
     stabilisation_n_m: FloatArray  # [c, 18]
     viscous_pa: FloatArray  # [c] modulus of all viscous branches in a step, see `elastic.viscosity`; 0 for none
+    yeoh_pa: FloatArray  # [c, 2] C20 and C30, see `elastic.yeoh`; 0 for none
     places: IndexArray  # [c, 64] place of the block of nodes (a, b) in the system at 8 a + b, or NO_PLACE
 
 

@@ -1,8 +1,8 @@
 """Settings of a scene: by which contact model bodies touch, and when an IPC step counts as solved."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import StrEnum
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from ...errors import VitacError
 from .mesh import GEL_MATERIAL, PART_MATERIAL, GelBody, RigidBody
@@ -10,6 +10,16 @@ from .mesh import GEL_MATERIAL, PART_MATERIAL, GelBody, RigidBody
 
 class UnknownMaterials(VitacError):
     """Two bodies can touch whose materials have no friction coefficient; add one to the contact settings."""
+
+
+def repr_without_defaults(settings: Any, *names: str) -> str:
+    """Return all fields of a dataclass, some of them only where they differ from their default."""
+    shown = [
+        f"{each.name}={getattr(settings, each.name)!r}"
+        for each in fields(settings)
+        if each.name not in names or getattr(settings, each.name) != each.default
+    ]
+    return f"{type(settings).__qualname__}({', '.join(shown)})"
 
 
 class ContactModel(StrEnum):
@@ -79,6 +89,18 @@ class PairFriction:
     coefficient: float
 
 
+class FrictionWeakening(NamedTuple):
+    """Friction of two bodies that slide at a speed v: mu (r + (1 - r) / (1 + v / v_s)), mu being their coefficient.
+
+    Attributes:
+        kinetic_ratio: r, what is left of the coefficient at a high speed.
+        speed_m_s: v_s, at which it is halfway [m/s].
+    """
+
+    kinetic_ratio: float
+    speed_m_s: float
+
+
 @dataclass(frozen=True, kw_only=True)
 class ArenaContactSettings:
     """Contact as `arena-2` models it: no constant depends on the time step.
@@ -90,6 +112,7 @@ class ArenaContactSettings:
         tangential_stiffness_n_m: of a contact that sticks, whatever its normal force [N/m].
         ccd_gap_fraction: part of a gap that one Newton iteration may close.
         pair_frictions: friction coefficients by pair of materials.
+        weakening: of all of them with the speed of sliding.
     """
 
     model: ClassVar = ContactModel.ARENA_2
@@ -104,6 +127,11 @@ class ArenaContactSettings:
         PairFriction(first=PART_MATERIAL, second=PART_MATERIAL, coefficient=0.3),
         PairFriction(first=GEL_MATERIAL, second=GEL_MATERIAL, coefficient=1.0),
     )
+    weakening: FrictionWeakening | None = None
+
+    def __repr__(self) -> str:
+        """Return all fields, the last one only where it is set: mesh hashes of settings without it stay."""
+        return repr_without_defaults(self, "weakening")
 
     def constants(self, time_step_s: float) -> ContactConstants:  # noqa: ARG002 - the same for every time step
         """Return the constants of the energy terms, whatever the time step [s]."""

@@ -10,6 +10,7 @@ from ..affine import frame_mass
 from ..elastic.hexahedra import stabilisation_n_m
 from ..elastic.neo_hookean import lame_parameters_pa
 from ..elastic.viscosity import build_branches
+from ..elastic.yeoh import yeoh_pa
 from ..linear.system import SystemLayout, gel_block_places, system_layout
 from ..model.mesh import GelBody, GelMesh, RigidBody
 from ..model.model import PRESCRIBED, Affine, Elastic, Hexahedra, Model, Parameters, Points, Surfaces, Unknowns
@@ -146,6 +147,7 @@ def _build_hexahedra(gels: tuple[GelBody, ...], of_gels: GelLayout, time_step_s:
         lambda_pa=np.ascontiguousarray(lambda_pa),
         stabilisation_n_m=np.concatenate(stabilisation),
         viscous_pa=build_branches(gels, time_step_s).modulus_pa.sum(axis=0),
+        yeoh_pa=yeoh_pa(gels),
         places=of_gels.hexahedron_places,
     )
 

@@ -93,6 +93,15 @@ def check_bodies(gels: Sequence[GelBody], bodies: Sequence[RigidBody]) -> None:
                 )
         if gel.viscosity and not gel.mesh.is_hexahedral:
             raise SceneError(f"{name} has viscosity, but {gel.mesh.name} is of tetrahedra; mesh it by hexahedra.")
+        second, third = gel.yeoh
+        if not (gel.mesh.is_hexahedral or second == third == 0.0):
+            raise SceneError(f"{name} has Yeoh's law, but {gel.mesh.name} is of tetrahedra; mesh it by hexahedra.")
+        # Its stress then grows with every strain: 1 + 2 a e + 3 b e^2 is positive for all e.
+        if not (np.isfinite(second) and 0.0 <= third < np.inf and (second >= 0.0 or second * second < 3.0 * third)):
+            raise SceneError(
+                f"yeoh of {name} is {gel.yeoh}, expected (C20, C30) over C10 with C30 of at least 0 and, where C20 is "
+                "negative, C20^2 < 3 C30."
+            )
     for index, body in enumerate(bodies):
         _check_place(f"body {index}", body)
         _check_positive(f"body {index}", density_kg_m3=body.density_kg_m3)

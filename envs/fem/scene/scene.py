@@ -11,11 +11,19 @@ from numpy.typing import NDArray
 
 from ..contact.forces import ContactMemory, PairForces, empty_memory, no_forces, pair_forces, sorted_memory
 from ..contact.overlap import find_overlap
+from ..contact.weakening import weaken_friction
 from ..elastic.elasticity import measure_stretches
 from ..elastic.viscosity import build_branches, follow_strain, held_stress_pa
 from ..model.mesh import GelBody, RigidBody
-from ..model.model import PRESCRIBED, point_positions
-from ..model.settings import AnyContactSettings, ContactSettings, CutOffSolverSettings, SolverSettings
+from ..model.model import PRESCRIBED, Surfaces, point_positions
+from ..model.settings import (
+    AnyContactSettings,
+    ArenaContactSettings,
+    ContactSettings,
+    CutOffSolverSettings,
+    FrictionWeakening,
+    SolverSettings,
+)
 from ..solver.assembly import Workspace, new_workspace
 from ..solver.iterate import IpcStep, remember_step
 from ..solver.newton import SOLVED, UNSOLVED, UNSTABLE, Counter, Measure, Record, Tolerances, forces_at, solve_step
@@ -170,6 +178,7 @@ class Scene:
             self._contact,
             self._solver,
         )
+        self._surfaces = self._model.surfaces
         self._x = self._layout.initial_positions_m()
         self._branches = build_branches(self._gels, time_step_s)
         self._viscous_strain = np.zeros((*self._branches.rate.shape, 6))
@@ -201,6 +210,8 @@ class Scene:
         x_hat, target = start + time_step_s * self._velocity, self._target(driven_targets_m)
         attempt = _Attempt(start=start, memory=self._memory, x_hat=x_hat, target=target, held=np.zeros_like(start))
         self._last_start = start, self._memory
+        if isinstance(self._contact, ArenaContactSettings) and self._contact.weakening is not None:
+            self._model = self._model._replace(surfaces=self._weaken(self._contact.weakening))
         if len(self._viscous_strain):
             self._workspace.hexahedron.held_pa[:] = held_stress_pa(self._branches, self._viscous_strain)
         status, parts = self._solve(attempt)
@@ -283,6 +294,13 @@ class Scene:
             corners = points[surfaces.triangles[overlap.triangle]].round(6).tolist()
             where = f"the edge from {ends[0]} to {ends[1]} m crosses the triangle {corners} m"
         raise SceneError(f"{names[0]} and {names[1]} overlap at the start: {where}; place them apart.")
+
+    def _weaken(self, law: FrictionWeakening) -> Surfaces:
+        y, velocity = np.empty((2, len(self._model.points.node_count), 3))
+        point_positions(self._model.points, self._x, y)
+        point_positions(self._model.points, self._velocity, velocity)
+        friction = weaken_friction(law, self._surfaces, self._memory, y, velocity)
+        return self._surfaces._replace(pair_friction=friction)
 
     def _target(self, driven_targets_m: Sequence[FloatArray]) -> FloatArray:
         if len(driven_targets_m) != len(self._gels):

@@ -20,7 +20,7 @@ from ...geometry.bases import (
     hexagon_peg_surface,
 )
 from ...geometry.pegs import PegShape, bottom_vertices, peg_surface
-from ...scene.grasped_scene import Clocks, PhysicsSettings, fixed_at_origin
+from ...scene.grasped_scene import Clocks, PhysicsSettings
 from ...tactile.markers import MarkerSettings
 from ...vision.camera import DepthMode, RigCamera, Sight
 from ...vision.look import CHALLENGE_LOOK, Look, Rectangle, build_surroundings, draw_clutter
@@ -265,7 +265,7 @@ class FusionScene(InsertionScene[FusionOffset, FusionInsertionSettings]):
             sensors=meshes.sensors(settings.markers),
             peg=peg,
             peg_bottom=peg_bottom(peg, start.target),
-            fixed=fixed_at_origin(base_mesh(meshes, settings.clearance_mm), friction=settings.base_friction),
+            fixed=self._place_fixed(base_mesh(meshes, settings.clearance_mm), settings.base_friction),
             rim_mm=RIM_MM,
         )
         super().__init__(parts, offset=start.offset, settings=settings, clocks=clocks)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ...deterministic_math import sine_cosine
 from ...fem.model.mesh import GelMesh, RigidBody, SurfaceMesh
 from ...geometry.pegs import GRIPPED_WIDTH_MM, PEG_HEIGHT_MM
-from ...scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings
+from ...scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings, fixed_at_origin
 from ...scene.gripper import UPRIGHT_MOUNTS, Gripper, GripperPose, ipc_steps
 from ...tactile.gel import highest_mm
 from ...tactile.markers import MarkerSettings
@@ -267,6 +267,10 @@ class InsertionScene(ABC, Generic[OffsetT, SettingsT]):
 
     def _ipc_steps(self, amount: float, speed_per_s: float) -> int:
         return ipc_steps(amount, speed_per_s=speed_per_s, time_step_s=self._settings.physics.time_step_s)
+
+    def _place_fixed(self, mesh: SurfaceMesh, friction: float) -> RigidBody:
+        """Return the part with the hole where it stands."""
+        return fixed_at_origin(mesh, friction=friction)
 
     def _placed_peg(self) -> RigidBody:
         """Return the peg at the commanded offset, upright."""

@@ -18,7 +18,7 @@ from ...geometry.pegs import (
     hole_surface,
     peg_surface,
 )
-from ...scene.grasped_scene import Clocks, PhysicsSettings, fixed_at_origin
+from ...scene.grasped_scene import Clocks, PhysicsSettings
 from ...tactile.markers import MarkerSettings
 from ..insertion.interface import CLEARANCE, GRIPPER_X, GRIPPER_Z, PegOffset
 from ..insertion.scene import TRAVEL_SPEED_M_S, InsertionScene, Parts, check_friction, check_settings
@@ -137,7 +137,7 @@ class PegScene(InsertionScene[PegOffset, PegInsertionSettings]):
             sensors=meshes.sensors(settings.markers),
             peg=peg,
             peg_bottom=peg_bottom,
-            fixed=fixed_at_origin(hole, friction=settings.hole_friction),
+            fixed=self._place_fixed(hole, settings.hole_friction),
             rim_mm=PLATE_THICKNESS_MM,
         )
         super().__init__(parts, offset=start.offset, settings=settings, clocks=clocks)

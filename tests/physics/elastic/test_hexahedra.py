@@ -26,6 +26,7 @@ def model_of(
     poisson_ratio: float = 0.41,
     rotation: FloatArray | None = None,
     viscosity: tuple[PronyBranch, ...] = (),
+    yeoh: tuple[float, float] = (0.0, 0.0),
 ) -> Model:
     gel = GelBody(
         mesh=mesh,
@@ -34,6 +35,7 @@ def model_of(
         youngs_modulus_pa=MODULUS_PA,
         poisson_ratio=poisson_ratio,
         viscosity=viscosity,
+        yeoh=yeoh,
     )
     return build_model((gel,), (), NodeLayout((gel,), ()), 0.1, ContactSettings(), SolverSettings())
 
@@ -85,12 +87,17 @@ BRANCHES = (
 )
 
 
-@pytest.mark.parametrize("viscosity", [(), BRANCHES])
-def test_matrix_is_the_derivative_of_the_forces(bevelled: GelMesh, viscosity: tuple[PronyBranch, ...]) -> None:
+NEO_HOOKEAN, YEOH = (0.0, 0.0), (-0.13, 0.21)
+
+
+@pytest.mark.parametrize(("viscosity", "yeoh"), [((), NEO_HOOKEAN), (BRANCHES, NEO_HOOKEAN), (BRANCHES, YEOH)])
+def test_matrix_is_the_derivative_of_the_forces(
+    bevelled: GelMesh, viscosity: tuple[PronyBranch, ...], yeoh: tuple[float, float]
+) -> None:
     x = strained(bevelled)
     held_pa = 1e4 * np.random.default_rng(3).normal(size=(len(bevelled.hexahedra), 6))
     held_pa[:, :3] -= held_pa[:, :3].mean(axis=1, keepdims=True)
-    probe = Probe(model_of(bevelled, viscosity=viscosity), len(x), held_pa)
+    probe = Probe(model_of(bevelled, viscosity=viscosity, yeoh=yeoh), len(x), held_pa)
     matrix, unknowns = probe.matrix_n_m(x), probe.model.unknowns.node
     for direction in np.random.default_rng(1).normal(size=(3, *x.shape)):
         move = np.where(bevelled.driven[:, None], 0.0, direction)
@@ -109,22 +116,25 @@ def test_coupling_is_the_derivative_by_the_prescribed_nodes(bevelled: GelMesh) -
     assert coupling[unknowns] == pytest.approx(slope[unknowns], abs=1e-6 * abs(slope).max())
 
 
+@pytest.mark.parametrize("yeoh", [NEO_HOOKEAN, YEOH])
 @pytest.mark.parametrize("seed", range(4))
-def test_projected_matrix_is_positive_semi_definite(bevelled: GelMesh, seed: int) -> None:
+def test_projected_matrix_is_positive_semi_definite(bevelled: GelMesh, seed: int, yeoh: tuple[float, float]) -> None:
     x = strained(bevelled, seed) * np.array([1.0, 1.0, 0.5])
-    matrix = Probe(model_of(bevelled, 0.48), len(x)).matrix_n_m(x, PROJECTED_MATRIX)
+    matrix = Probe(model_of(bevelled, 0.48, yeoh=yeoh), len(x)).matrix_n_m(x, PROJECTED_MATRIX)
     eigenvalues = np.linalg.eigvalsh(0.5 * (matrix + matrix.T))
     assert eigenvalues.min() >= -1e-9 * eigenvalues.max()
 
 
-@pytest.mark.parametrize("poisson_ratio", [0.0, 0.3, 0.49])
+@pytest.mark.parametrize(
+    ("poisson_ratio", "yeoh"), [(0.0, NEO_HOOKEAN), (0.3, NEO_HOOKEAN), (0.49, NEO_HOOKEAN), (0.4, YEOH)]
+)
 def test_an_affine_state_has_the_energy_of_the_material_and_no_inner_forces(
-    bevelled: GelMesh, poisson_ratio: float
+    bevelled: GelMesh, poisson_ratio: float, yeoh: tuple[float, float]
 ) -> None:
     """Patch test, and the work along the way from rest to the state."""
     F = np.array([[1.2, 0.1, 0.0], [0.0, 0.9, -0.1], [0.05, 0.0, 1.1]])
     rest, mesh = bevelled.rest_position_m, bevelled
-    probe = Probe(model_of(mesh, poisson_ratio), len(rest))
+    probe = Probe(model_of(mesh, poisson_ratio, yeoh=yeoh), len(rest))
     inner = ~mesh.driven & ~np.isin(np.arange(len(rest)), mesh.surface_nodes)
     forces = probe.forces_n(rest @ F.T)
     assert inner.any()
@@ -137,7 +147,8 @@ def test_an_affine_state_has_the_energy_of_the_material_and_no_inner_forces(
     )
     mu, lam = lame_parameters_pa(MODULUS_PA, poisson_ratio)
     log_j = np.log(np.linalg.det(F))
-    density = 0.5 * mu * ((F * F).sum() - 3.0) - mu * log_j + 0.5 * lam * log_j**2
+    e, (second, third) = (F * F).sum() - 3.0, yeoh
+    density = 0.5 * mu * (e + second * e**2 + third * e**3) - mu * log_j + 0.5 * lam * log_j**2
     assert work == pytest.approx(density * mesh.blocks.volume_m3.sum(), rel=1e-6)
 
 
