@@ -100,8 +100,24 @@ class Arm:
             raise DeviceFault("The gripper reports that its fingers move, though it was not asked to. Free them.")
         raise NoPeg("The gripper has lost its peg. Put it back into the garage.")
 
-    def fetch(self) -> None:
-        """Take the peg from its garage; a peg that the gripper holds is put there first."""
+    def fetch(self, grip_force: int | None = None) -> None:
+        """Take the peg from its garage; a peg that the gripper holds is put there first.
+
+        Args:
+            grip_force: other than the procedure's; the gels then may feel less than a contact.
+        """
+        self.open_in_garage()
+        self._station.eyes.start_again()
+        self._grip(self._limits.gripper.position[1], grip_force)
+        sight = self._wait(_SETTLE_S)
+        is_felt = grip_force is not None or (sight.left.is_contact() and sight.right.is_contact())
+        if not (self.holds_peg() and is_felt):
+            self._grip(self._procedure.open_position)
+            raise NoPeg("The gripper closed on nothing in the garage. Put the peg into it.")
+        self.lift(self._procedure.safe_z_mm)
+
+    def open_in_garage(self) -> None:
+        """Open the gripper in the garage, where a peg that it holds stays."""
         garage, safe_mm = self._procedure.garage, self._procedure.safe_z_mm
         self.lift(safe_mm)
         if not self.holds_peg():
@@ -111,21 +127,15 @@ class Arm:
         if self.holds_peg():
             self._grip(self._procedure.open_position)
         self._wait(_SETTLE_S)
-        self._station.eyes.start_again()
-        self._grip(self._limits.gripper.position[1])
-        sight = self._wait(_SETTLE_S)
-        if not (self.holds_peg() and sight.left.is_contact() and sight.right.is_contact()):
-            self._grip(self._procedure.open_position)
-            raise NoPeg("The gripper closed on nothing in the garage. Put the peg into it.")
-        self.lift(safe_mm)
 
     def _wait(self, wait_s: float) -> SensorReading:
         """Wait, longer by the latency of the pictures."""
         wait_s += self._procedure.latency_s
         return self._station.eyes.wait(math.ceil(wait_s / self._procedure.picture_s))
 
-    def _grip(self, position: int) -> None:
-        self._guard.grip(position, speed=self._limits.gripper.speed, force=self._procedure.grip_force)
+    def _grip(self, position: int, force: int | None = None) -> None:
+        force = self._procedure.grip_force if force is None else force
+        self._guard.grip(position, speed=self._limits.gripper.speed, force=force)
         self._station.gripper.wait(timeout_s=_GRIP_S)
 
 

@@ -6,7 +6,7 @@ Called by `vitac evaluate --station`. Of all attempts of a trial at most the las
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,7 +119,7 @@ class RehearsalReport(StrictModel):
     trials: tuple[TrialRecord, ...]
 
     @classmethod
-    def from_trials(cls, trials: Sequence[TrialRecord], twin: TwinMark | None = None, **names: str) -> Self:
+    def from_trials(cls, trials: Sequence[TrialRecord], **names: Any) -> Self:
         """Return the result of trials."""
         ends = [
             ((trial.shape, trial.offset), trial.outcome is TrialOutcome.SUCCESS)
@@ -130,7 +130,6 @@ class RehearsalReport(StrictModel):
             rate=rate_by_start(ends) if ends else None,
             without_result=len(trials) - len(ends),
             trials=tuple(trials),
-            twin=twin,
             **names,
         )
 

@@ -17,7 +17,7 @@ from ..description import StationTask, TwinClass, TwinMark
 from .depth_pictures import DepthCameraTwin
 from .force_torque import ForceTorqueTwin
 from .gel_view import GelView, Picture
-from .grasp import CUBOID_PEG, Axes, HeldPeg, Mounted, Wrench, hold_peg
+from .grasp import CUBOID_PEG, Axes, HeldPeg, Mounted, Wrench, grip_harder, hold_peg, in_world
 from .gripper import GripperTwin
 from .hidden import FaultScript, HiddenSettings, TwinFault
 from .pictures import CameraFault, CameraTwin
@@ -34,7 +34,6 @@ PEG_AT: Final = 180
 """Position of the gripper at which its gels meet the peg."""
 GRIP_FORCE: Final = 50
 """Of the gripper's command at which it closes as far as the hidden indentation; less closes less far."""
-_FLATTEST_MM, _DEEPEST_MM = 0.02, 1.5
 _SETTLED_MM: Final = 1e-5
 _NEAR_MM: Final = 2.0
 _LET_GO: Final = 5
@@ -295,8 +294,7 @@ class Bench:
 
     def _hold(self, at: Axes, force: int = GRIP_FORCE) -> HeldPeg:
         """Return the peg in the gripper, whose force says how far it closes."""
-        indentation_mm = min(self.hidden.indentation_mm * force / GRIP_FORCE, _DEEPEST_MM)
-        hidden = self.hidden.model_copy(update={"indentation_mm": max(indentation_mm, _FLATTEST_MM)})
+        hidden = grip_harder(self.hidden, force / GRIP_FORCE)
         return hold_peg(self.mounted, self._in_world(at), hidden, self._meshes, self.period_s)
 
     def _let_go(self) -> None:
@@ -325,9 +323,7 @@ class Bench:
 
     def _in_world(self, at: Axes) -> Axes:
         """Return where the stage really is, relative to the hole; the station's file has other values."""
-        x_mm, y_mm, turn_deg = self.hidden.origin
-        x, y, z, rotation_deg = (value - hole for value, hole in zip(at, HOLE, strict=True))
-        return x + x_mm, y + y_mm, z - self.hidden.plate_mm, rotation_deg + turn_deg
+        return in_world(at, HOLE, self.hidden)
 
     def _break_and_mend(self) -> None:
         for fault in [each for each in self._waiting if each.contact <= self.contacts]:

@@ -132,6 +132,51 @@ _TORN_PX: Final = 70.0
 _TORN_AT_PX: Final = np.array((190.0, 110.0))
 
 
+class PrintedMarkers:
+    """Markers on the face of a gel.
+
+    Attributes:
+        count: how many are on it.
+
+    Args:
+        gel: that carries them.
+        grid_px: where they are in the picture of a gel at rest, shape [n, 2] [pixel].
+    """
+
+    def __init__(self, gel: GelMesh, grid_px: FloatArray) -> None:
+        self._eye_m = eye_distance_m(gel)
+        top_m = float(gel.rest_position_m[:, 2].max()) + self._eye_m
+        in_camera_m = (grid_px - CHALLENGE_CAMERA[2:]) * top_m / np.array(CHALLENGE_CAMERA[:2])
+        triangles = gel.surface_triangles
+        found = SensorDesign(
+            gel=gel,
+            sensing_triangles=triangles[gel.sensing[triangles].all(axis=1)],
+            camera=CHALLENGE_CAMERA,
+            markers_mm=-1e3 * in_camera_m,
+        ).attachment
+        attached = found.faults == 0
+        self._corners, self._weights = triangles[found.triangles[attached]], found.weights[attached]
+        self.count = len(self._corners)
+
+    def in_camera_m(self, points_m: FloatArray, pose: SensorPose) -> FloatArray:
+        """Return points of the world in the frame of the sensor's camera, shape [n, 3] [m]."""
+        return camera_frame(np.ascontiguousarray(points_m), pose.rotation, pose.centre_m, self._eye_m)
+
+    def project_px(self, gel_m: FloatArray) -> FloatArray:
+        """Return where an ideal camera sees them, shape [n, 2] [pixel], on a gel with nodes in its frame [m]."""
+        return project(interpolated(gel_m, self._corners, self._weights), CHALLENGE_CAMERA)
+
+
+def see_through_lens(sensor: HiddenSensor, positions_px: FloatArray) -> FloatArray:
+    """Return where a camera really sees places of the cut picture, as it is mounted and distorts."""
+    arm = positions_px - _MIDDLE_PX
+    arm = arm * (1.0 + sensor.distortion * (arm**2).sum(axis=1, keepdims=True) / _CORNER_PX**2)
+    angle = np.radians(sensor.turn_deg)
+    turned = arm @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    moved: FloatArray = turned + _MIDDLE_PX + sensor.shift_px
+    return moved
+
+
 class GelView:
     """A camera behind a gel with printed markers.
 
@@ -150,7 +195,6 @@ class GelView:
         self._seen_m: FloatArray | None = None
         self._lit_as: tuple[int, bool, int, bool] | None = None
         self._surface_camera = TactileCamera(gel)
-        self._eye_m = eye_distance_m(gel)
         self._attach()
         self.look_at_rest()
 
@@ -168,17 +212,14 @@ class GelView:
             body_m: vertices of what it touches, in the world, shape [v, 3].
             triangles: of that, shape [t, 3].
         """
-        gel_m, held_m = (
-            camera_frame(np.ascontiguousarray(points_m), pose.rotation, pose.centre_m, self._eye_m)
-            for points_m in (nodes_m, body_m)
-        )
+        gel_m, held_m = (self._printed.in_camera_m(points_m, pose) for points_m in (nodes_m, body_m))
         if self._seen_m is not None and np.abs(gel_m - self._seen_m).max() < _UNMOVED_M:
             return
         self._seen_m, self._lit_as = gel_m, None
         seen = self._surface_camera.picture(gel_m, held_m, triangles, np.zeros((0, 2)))
         cut = self._through_lens(seen)
         self._surface, self._torn = self._camera.framed(cut), _tear(cut)
-        self._markers_px = self._lens(project(interpolated(gel_m, self._corners, self._weights), CHALLENGE_CAMERA))
+        self._markers_px = see_through_lens(self._sensor, self._printed.project_px(gel_m))
 
     def picture(self, *, drift_px: float = 0.0, is_torn: bool = False, age_h: float = 0.0) -> Picture:
         """Take a picture of the camera, blue first.
@@ -220,7 +261,7 @@ class GelView:
     @property
     def markers(self) -> int:
         """Number of printed markers."""
-        return len(self._corners)
+        return self._printed.count
 
     def _attach(self) -> None:
         """Print the markers of the challenge's grid, each a little beside its place, and wear some of them off."""
@@ -228,30 +269,9 @@ class GelView:
         grid_px += self._generator.uniform(-self._sensor.misprint_px, self._sensor.misprint_px, grid_px.shape)
         if self._structure.print is not None:
             grid_px = _print_off(self._structure.print, grid_px, np.random.default_rng((self._sensor.seed, _SCATTER)))
-        focal = np.array(CHALLENGE_CAMERA[:2])
-        top_m = float(self._gel.rest_position_m[:, 2].max()) + self._eye_m
-        in_camera_m = (grid_px - CHALLENGE_CAMERA[2:]) * top_m / focal
-        triangles = self._gel.surface_triangles
-        design = SensorDesign(
-            gel=self._gel,
-            sensing_triangles=triangles[self._gel.sensing[triangles].all(axis=1)],
-            camera=CHALLENGE_CAMERA,
-            markers_mm=-1e3 * in_camera_m,
-        )
-        found = design.attachment
-        attached = found.faults == 0
-        self._corners, self._weights = triangles[found.triangles[attached]], found.weights[attached]
-        self._darkness = np.full(len(self._corners), self._camera.darkness)
-        self._darkness[self._generator.permutation(len(self._corners))[: self._sensor.worn]] *= WORN_DARKNESS
-
-    def _lens(self, positions_px: FloatArray) -> FloatArray:
-        """Return where the camera really sees places of the cut picture, as it is mounted and distorts."""
-        arm = positions_px - _MIDDLE_PX
-        arm = arm * (1.0 + self._sensor.distortion * (arm**2).sum(axis=1, keepdims=True) / _CORNER_PX**2)
-        angle = np.radians(self._sensor.turn_deg)
-        turned = arm @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-        moved: FloatArray = turned + _MIDDLE_PX + self._sensor.shift_px
-        return moved
+        self._printed = PrintedMarkers(self._gel, grid_px)
+        self._darkness = np.full(self._printed.count, self._camera.darkness)
+        self._darkness[self._generator.permutation(self._printed.count)[: self._sensor.worn]] *= WORN_DARKNESS
 
     def _through_lens(self, surface: Picture) -> Picture:
         """Return the surface under the sensor's light, moved as its camera is mounted."""

@@ -51,6 +51,7 @@ _GRIP_MM: Final = -8.0
 """Of the gripper from the peg's upper end."""
 _PEG, _PLATE = 2, 3
 """Their numbers among the bodies of the scene: the gels are the first two."""
+_FLATTEST_MM, _DEEPEST_MM = 0.02, 1.5
 _SENSOR_ABOVE_M: Final = 0.15
 """Middle of the force/torque sensor above the grasp: the length of a Hand-E and its flange."""
 
@@ -100,11 +101,25 @@ class FingerSprings:
         return pose.moved(x_m=x_m, y_m=y_m, closing_m=-self._opened_m)
 
 
+def grip_harder(hidden: HiddenSettings, factor: float) -> HiddenSettings:
+    """Return a twin whose gripper closes with so many times its force: the gels give way in proportion."""
+    indentation_mm = min(max(hidden.indentation_mm * factor, _FLATTEST_MM), _DEEPEST_MM)
+    return hidden.model_copy(update={"indentation_mm": indentation_mm})
+
+
+def in_world(at: Axes, hole: Axes, hidden: HiddenSettings) -> Axes:
+    """Return where a stage really is, relative to the hole that its file has elsewhere."""
+    x_mm, y_mm, turn_deg = hidden.origin
+    x, y, z, rotation_deg = (value - there for value, there in zip(at, hole, strict=True))
+    return x + x_mm, y + y_mm, z - hidden.plate_mm, rotation_deg + turn_deg
+
+
 class HeldPeg:
     """A peg between two gels, from its grasp until it is released.
 
     Attributes:
         scene: gels, peg and plate.
+        axes: where the stage is, from the hole.
     """
 
     def __init__(self, peg: "_TiltedParts", axes: Axes, fingers: Compliance | None) -> None:
@@ -113,7 +128,7 @@ class HeldPeg:
         InsertionScene.grasp(self._peg)
         self.scene = self._peg.grasped
         self._start = _Grasp(axes=axes, pose=self.scene.pose)
-        self._axes = axes
+        self.axes = axes
         relaxation_s = max((branch.relaxation_time_s for branch in self.scene.physics.viscosity), default=0.0)
         self._creeping_steps = round(_CREEP * relaxation_s / self.scene.physics.time_step_s)
         self._rest_steps = 0
@@ -125,11 +140,11 @@ class HeldPeg:
         A viscous gel moves at rest, too, until its branches have relaxed. Where the physics finds no solution nothing
         moves, and the next call tries again.
         """
-        self._rest_steps = self._rest_steps + 1 if axes == self._axes else 0
+        self._rest_steps = self._rest_steps + 1 if axes == self.axes else 0
         if self._rest_steps > self._creeping_steps:
             return False
-        way_mm = max(abs(a - b) for a, b in zip(axes[:3], self._axes[:3], strict=True))
-        steps = max(1, ceil(way_mm / _WAY_MM), ceil(abs(axes[3] - self._axes[3]) / _TURN_DEG))
+        way_mm = max(abs(a - b) for a, b in zip(axes[:3], self.axes[:3], strict=True))
+        steps = max(1, ceil(way_mm / _WAY_MM), ceil(abs(axes[3] - self.axes[3]) / _TURN_DEG))
         x_mm, y_mm, z_mm, rotation_deg = (now - before for now, before in zip(axes, self._start.axes, strict=True))
         goal = self._start.pose.moved(
             x_m=1e-3 * x_mm, y_m=1e-3 * y_mm, z_m=1e-3 * z_mm, angle_rad=radians(rotation_deg)
@@ -139,11 +154,11 @@ class HeldPeg:
         before = self.scene.state()
         self.scene.move_to(goal, ipc_steps=steps)
         if not self.scene.solved:
-            _logger.warning("The twin found no solution between %s and %s and stays at the first.", self._axes, axes)
+            _logger.warning("The twin found no solution between %s and %s and stays at the first.", self.axes, axes)
             self.scene.restore(before)
             return False
         self.scene.take_reports()
-        self._axes = axes
+        self.axes = axes
         return True
 
     def wrench(self) -> Wrench:
@@ -167,7 +182,7 @@ class HeldPeg:
         """Return what an RGB-D camera beside the gripper sees now; None where the scene has none."""
         if not isinstance(self._peg, _SeenPeg):
             return None
-        x, y, z, rotation = (now - before for now, before in zip(self._axes, self._start.axes, strict=True))
+        x, y, z, rotation = (now - before for now, before in zip(self.axes, self._start.axes, strict=True))
         return self._peg.look_from(x, y, rotation, z)
 
     def depth_mm(self) -> float:
@@ -297,15 +312,14 @@ def _settings(kind: type[_Settings], hidden: HiddenSettings, physics: PhysicsSet
 
 
 def _physics(hidden: HiddenSettings, time_step_s: float) -> PhysicsSettings:
-    structure = hidden.structure
+    structure, law = hidden.structure, hidden.structure.weakening
     contact = ArenaContactSettings(
         pair_frictions=(
             PairFriction(first=GEL_MATERIAL, second=PART_MATERIAL, coefficient=hidden.gel_friction),
             PairFriction(first=PART_MATERIAL, second=PART_MATERIAL, coefficient=hidden.plate_friction),
             PairFriction(first=GEL_MATERIAL, second=GEL_MATERIAL, coefficient=hidden.gel_friction),
         ),
-        weakening=structure.weakening
-        and FrictionWeakening(structure.weakening.kinetic_ratio, 1e-3 * structure.weakening.speed_mm_s),
+        weakening=FrictionWeakening(law.kinetic_ratio, 1e-3 * law.speed_mm_s) if law else None,
     )
     return PhysicsSettings(
         time_step_s=time_step_s,

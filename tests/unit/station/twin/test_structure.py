@@ -1,6 +1,7 @@
 """Twins of class B: drawn by choice, each difference does what it says, and can be switched off alone."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from vitac.envs.assets import Meshes
 from vitac.envs.fem.model.mesh import GelMesh
 from vitac.envs.scene.gripper import SensorPose
 from vitac.evaluator.strict_model import DocumentRejected
+from vitac.station.description import TwinClass
 from vitac.station.perception.markers import cut_picture, find_centres
 from vitac.station.twin.bench import Backlash
 from vitac.station.twin.gel_view import GelView
@@ -31,7 +33,7 @@ BESIDE_MM = 4.0
 ON_THE_PLATE_MM = -0.3
 
 
-def hold(**structure: object) -> HeldPeg:
+def hold(**structure: Any) -> HeldPeg:
     hidden = HiddenSettings(structure=HiddenStructure(**structure))
     meshes = Meshes(gel=twin_gel(hidden.structure), is_arena=True)
     return hold_peg(CUBOID_PEG, (BESIDE_MM, 0.0, 0.2, 0.0), hidden, meshes, PERIOD_S)
@@ -54,7 +56,7 @@ def slide(held: HeldPeg, way_mm: float) -> float:
 def test_class_b_has_the_numbers_of_class_a_and_each_difference_is_switched_off_alone(tmp_path: Path) -> None:
     secret = tmp_path / "secret"
     secret.write_text("{secret: hush, twin: B, without: [mesh, tilt]}")
-    twin, whole = read_secret(secret), make_twin(TwinSecret(secret="hush", twin="B"))  # noqa: S106 - drawn from, no password
+    twin, whole = read_secret(secret), make_twin(TwinSecret(secret="hush", twin=TwinClass.B))  # noqa: S106 - drawn from, no password
     numbers = draw_hidden(b"hush")
     assert twin.hidden.model_copy(update={"structure": numbers.structure}) == numbers
     ours, full = twin.hidden.structure, whole.hidden.structure
@@ -100,7 +102,7 @@ def test_a_viscous_gel_relaxes_while_nothing_moves() -> None:
         {"unbonded_mm": 4.0},
     ],
 )
-def test_difference_changes_the_force_on_the_plate(structure: dict[str, object]) -> None:
+def test_difference_changes_the_force_on_the_plate(structure: dict[str, Any]) -> None:
     plain, other = (press(held)[:3] for held in (hold(), hold(**structure)))
     assert np.linalg.norm(other - plain) > 0.01 * np.linalg.norm(plain)
 
@@ -114,9 +116,9 @@ def test_stage_gives_way_and_sticks() -> None:
 
 
 def test_force_sensor_lags_and_mixes() -> None:
-    crosstalk = np.zeros((6, 6))
-    crosstalk[0, 2] = 0.1
-    sensor = FaultyWrench(WrenchError(hysteresis_n=0.5, crosstalk=tuple(map(tuple, crosstalk.tolist()))))
+    none = (0.0,) * 6
+    crosstalk = ((0.0, 0.0, 0.1, 0.0, 0.0, 0.0), none, none, none, none, none)
+    sensor = FaultyWrench(WrenchError(hysteresis_n=0.5, crosstalk=crosstalk))
     rising, falling = (sensor.show(np.array((0.0, 0.0, force, 0.0, 0.0, 0.0))) for force in (10.0, 8.0))
     assert rising[[0, 2]] == pytest.approx((0.95, 9.5))
     assert falling[2] == pytest.approx(8.5)
@@ -127,7 +129,7 @@ def gel() -> GelMesh:
     return twin_gel(HiddenStructure())
 
 
-def moving(gel: GelMesh, **structure: object) -> tuple[np.ndarray, np.ndarray]:
+def moving(gel: GelMesh, **structure: Any) -> tuple[np.ndarray, np.ndarray]:
     """Return the pictures of a gel before and during a shift along u."""
     sensor = HiddenSensor(noise=0.0, misprint_px=0.0)
     view = GelView(gel, sensor, HiddenStructure(**structure), PERIOD_S)
