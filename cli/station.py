@@ -2,6 +2,7 @@
 
 import json
 import sys
+from contextlib import ExitStack
 from dataclasses import asdict
 from itertools import islice
 from pathlib import Path
@@ -149,6 +150,7 @@ def run(
     from vitac.station.description import read_description
     from vitac.station.rehearsal import refuse_wrong_devices
     from vitac.station.trials import TrialPlayer
+    from vitac.worker.live_pictures import LivePictures
     from vitac.worker.main import work
 
     from .rehearsal import Album, make_operator, no_pictures, serving_console
@@ -166,14 +168,21 @@ def run(
         attempts=1,
         show=show,
     )
-    with player, serving_console(player, port) as address, open_services(settings, may_run_database=False) as services:
+    names: list[str] = []
+    with ExitStack() as stack:
+        stack.enter_context(player)
+        address = stack.enter_context(serving_console(player, port))
+        services = stack.enter_context(open_services(settings, may_run_database=False))
         _give_address(address, console)
+        live = stack.enter_context(LivePictures(services=services, find_station=lambda: names[-1] if names else ""))
+        player.share = live.show
 
         def become_agent(worker_id: UUID) -> str:
             """Take the station's key before the first byte to its devices: another agent may be playing on them."""
             station = services.database.retrying(
                 lambda session: enrol(session, settings, key, worker_id), give_up_after_s=_DATABASE_S
             )
+            names.append(station)
             refuse_wrong_devices(description)
             return station
 

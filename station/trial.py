@@ -13,8 +13,8 @@ from vitac.envs.errors import VitacError
 from vitac.evaluator.agent.verdicts import PolicyFailed
 from vitac.evaluator.episodes.episode import OpenSession, Policy
 from vitac.evaluator.episodes.reading import Reading
-from vitac.evaluator.episodes.records import ForceFigures, HelpKind, HumanHelp, TrialVideo
-from vitac.evaluator.episodes.traces import summarize_force
+from vitac.evaluator.episodes.records import ContactForces, HelpKind, HumanHelp, TrialVideo
+from vitac.evaluator.episodes.traces import OVER_FORCE_N, count_over_force, summarize_force
 from vitac.evaluator.tracks import Episode, Task
 
 from .arm import Arm, NoPeg, Offset
@@ -66,7 +66,7 @@ class Attempt:
         action_numbers: how many an action has.
         marks: of the video at the times of `encoders`, where there is one.
         video: None where none was recorded whole.
-        force: on the force/torque sensor, from the first contact on.
+        forces: on the force/torque sensor, from the descent on.
         help: of people.
     """
 
@@ -82,7 +82,7 @@ class Attempt:
     action_numbers: int = 3
     marks: list[dict[str, Any]] = field(default_factory=list)
     video: TrialVideo | None = None
-    force: ForceFigures | None = None
+    forces: ContactForces | None = None
     help: tuple[HumanHelp, ...] = ()
 
 
@@ -138,7 +138,7 @@ class Trial:
             attempt.outcome, attempt.reason, attempt.failure = TrialOutcome.POLICY_FAILED, failed.message, failed
         except (*_OUTCOMES, StationStopped, LimitPassed) as why:
             attempt.outcome, attempt.reason = self._outcome_of(why), str(why)
-        attempt.force = self._summarize_force()
+        attempt.forces = self._summarize_forces()
         self._retreat()
         return attempt
 
@@ -181,10 +181,17 @@ class Trial:
         held = "The peg hangs in free air. Accepted, the policy begins."
         return self._ask(held, _GRASP_CHECKLIST, Decision.REGRASP)
 
-    def _summarize_force(self) -> ForceFigures | None:
-        forces_n = list(self._station.guard.forces_n) if self._attempt.encoders else []
+    def _summarize_forces(self) -> ContactForces | None:
+        """Return what the force/torque sensor measured since the descent; None where no env step was played."""
+        forces_n = list(self._station.guard.forces_n) if self._attempt.actions else []
+        if not forces_n:
+            return None
         period_s = 1 / self._station.description.force_torque.rate_hz
-        return summarize_force(forces_n, [period_s] * len(forces_n)) if forces_n else None
+        return ContactForces(
+            part=summarize_force(forces_n, [period_s] * len(forces_n)),
+            over_force_n=OVER_FORCE_N,
+            over_force_events=count_over_force(forces_n, OVER_FORCE_N),
+        )
 
     def _approach(self) -> float:
         """Go where the policy begins; return the stage's height at the contact [mm]."""

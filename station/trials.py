@@ -112,6 +112,7 @@ class TrialPlayer:
         operator: who may step in, and whom it asks before it moves again after a stop.
         attempts: at a trial.
         show: called with episode, attempt, a word and what is seen.
+        share: called with the trial's code and each picture of its video (JPEG).
     """
 
     description: StationDescription
@@ -119,6 +120,7 @@ class TrialPlayer:
     operator: Operator = field(default_factory=lambda: Operator(asks=False))
     attempts: int = ATTEMPTS
     show: Show = lambda _episode, _attempt, _word, _sight: None
+    share: Callable[[str, bytes], None] = lambda _code, _jpeg: None
     _opened: ExitStack = field(default_factory=ExitStack)
     _station: OpenStation | None = None
     _stopped_for: str | None = None
@@ -195,7 +197,7 @@ class TrialPlayer:
             self._stopped_for = str(error)
             return Attempt(outcome=TrialOutcome.DEVICE_FAULT, reason=str(error))
         is_fusion = StationTask(task.station_of or task.name) is StationTask.FUSION
-        recorder = None if code is None else VideoRecorder(station, self.video_file, code)
+        recorder = None if code is None else VideoRecorder(station, self.video_file, code, self.share)
         with recorder or nullcontext():
             attempt = (FusionTrial if is_fusion else Trial)(
                 station,

@@ -6,6 +6,7 @@ code. The trial's record has the link after every env step: its state hashes, th
 """
 
 import hashlib
+import math
 import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -44,6 +45,7 @@ class FrameNote(StrictModel):
         picture: SHA-256 of the JPEG without this comment.
         n_bytes: length of that JPEG.
         link: of the chain, which covers all of the above and the link before.
+        force_n: on the force/torque sensor; None where it has sent nothing.
         last: whether the video ends with it.
     """
 
@@ -53,6 +55,7 @@ class FrameNote(StrictModel):
     picture: StateHash
     n_bytes: PositiveInt
     link: StateHash
+    force_n: float | None = None
     last: bool = False
 
     def find_link(self, before: str) -> str:
@@ -137,11 +140,17 @@ class VideoRecorder:
     The station stops where the video cannot be written: a trial without one has to be played again.
     """
 
-    def __init__(self, station: OpenStation, file: Path, code: str) -> None:
-        """Write to a file, which is replaced."""
-        self._station, self.file, self._code = station, file, code
+    def __init__(
+        self,
+        station: OpenStation,
+        file: Path,
+        code: str,
+        share: Callable[[str, bytes], None] = lambda _code, _jpeg: None,
+    ) -> None:
+        """Write to a file, which is replaced, and give the code and each picture (JPEG) to `share`."""
+        self._station, self.file, self._code, self._share = station, file, code, share
         self._frames, self._link, self._time_ns = 0, find_first_link(code), 0
-        self._waiting: tuple[bytes, int] | None = None
+        self._waiting: tuple[bytes, int, float | None] | None = None
         self._digest, self._n_bytes = hashlib.sha256(), 0
         self._over, self._lock = Event(), Lock()
         self._is_whole = True
@@ -201,13 +210,16 @@ class VideoRecorder:
             return
         jpeg = cv2.imencode(".jpg", picture[0], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
         self._write_waiting(last=False)
-        self._waiting, self._time_ns = (jpeg, picture[1]), picture[1]
+        self._share(self._code, jpeg)
+        wrench = self._station.guard.wrench()
+        force_n = None if wrench is None else round(math.hypot(*wrench[:3]), 3)
+        self._waiting, self._time_ns = (jpeg, picture[1], force_n), picture[1]
 
     def _write_waiting(self, *, last: bool) -> None:
         """Write the frame that waits until it is known whether another one follows."""
         if self._waiting is None:
             return
-        jpeg, time_ns = self._waiting
+        jpeg, time_ns, force_n = self._waiting
         note = FrameNote(
             code=self._code,
             frame=self._frames + 1,
@@ -215,6 +227,7 @@ class VideoRecorder:
             picture=hashlib.sha256(jpeg).hexdigest(),
             n_bytes=len(jpeg),
             link=self._link,
+            force_n=force_n,
             last=last,
         )
         note = note.model_copy(update={"link": note.find_link(self._link)})

@@ -166,15 +166,15 @@ class ContactForces(StrictModel):
     `over_force_events` counts in how many runs of consecutive IPC steps the force on the part was above `over_force_n`:
     the task's limit, or `forces.OVER_FORCE_N` without one. The stretches stand for damage to the gels and include that
     of the grasp: the largest principal stretch of an element, and the largest over the IPC steps of what 95 % of the
-    elements do not exceed.
+    elements do not exceed. A station measures the force on the part alone, from the first contact on.
     """
 
     part: ForceFigures
-    gels: tuple[ForceFigures, ForceFigures]
+    gels: tuple[ForceFigures, ForceFigures] | None = None
     over_force_n: PositiveFloat
     over_force_events: NonNegativeInt
-    largest_stretch: NonNegativeFloat
-    high_stretch: NonNegativeFloat
+    largest_stretch: NonNegativeFloat | None = None
+    high_stretch: NonNegativeFloat | None = None
 
 
 class TrialVideo(StrictModel):
@@ -219,13 +219,11 @@ class TrialEvidence(StrictModel):
     Attributes:
         station: by its name.
         video: None where the station's trials have none.
-        force: on the force/torque sensor, from the first contact on.
         help: of people.
     """
 
     station: Word
     video: TrialVideo | None = None
-    force: ForceFigures | None = None
     help: tuple[HumanHelp, ...] = ()
 
 

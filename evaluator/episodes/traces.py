@@ -50,10 +50,15 @@ class ForceTrace:
             part=summarize_force(part_n, times_s),
             gels=(summarize_force(left_n, times_s), summarize_force(right_n, times_s)),
             over_force_n=self.over_force_n,
-            over_force_events=sum(is_over for is_over, _ in groupby(force > self.over_force_n for force in part_n)),
+            over_force_events=count_over_force(part_n, self.over_force_n),
             largest_stretch=max(report.largest_stretch for report in self.reports),
             high_stretch=max(report.high_stretch for report in self.reports),
         )
+
+
+def count_over_force(forces_n: Iterable[float], limit_n: float) -> int:
+    """Return in how many runs of consecutive sizes [N] a force is above a limit [N]."""
+    return sum(is_over for is_over, _ in groupby(force > limit_n for force in forces_n))
 
 
 def summarize_force(forces_n: Sequence[float], times_s: Iterable[float]) -> ForceFigures:

@@ -24,30 +24,36 @@ class ForceSummary(StrictModel):
 
     episodes: PositiveInt
     part: ForceFigures
-    gel: ForceFigures
+    gel: ForceFigures | None = None
     over_force_n: PositiveFloat
     over_force_events: NonNegativeInt
     over_force_episodes: NonNegativeInt
-    largest_stretch: NonNegativeFloat
-    high_stretch: NonNegativeFloat
+    largest_stretch: NonNegativeFloat | None = None
+    high_stretch: NonNegativeFloat | None = None
 
 
 def summarize_forces(forces: Iterable[ContactForces | None]) -> ForceSummary | None:
-    """Return the forces of an evaluation; None where no record has any."""
+    """Return the forces of an evaluation, those of gels where all are recorded; None where no record has any."""
     found = [each for each in forces if each is not None]
     if not found:
         return None
     events = [each.over_force_events for each in found]
+    gels = [each.gels for each in found if each.gels is not None]
     return ForceSummary(
         episodes=len(found),
         part=_medians([[each.part] for each in found]),
-        gel=_medians([each.gels for each in found]),
+        gel=_medians(gels) if len(gels) == len(found) else None,
         over_force_n=found[0].over_force_n,
         over_force_events=sum(events),
         over_force_episodes=sum(map(bool, events)),
-        largest_stretch=median(each.largest_stretch for each in found),
-        high_stretch=median(each.high_stretch for each in found),
+        largest_stretch=_median(each.largest_stretch for each in found),
+        high_stretch=_median(each.high_stretch for each in found),
     )
+
+
+def _median(values: Iterable[float | None]) -> float | None:
+    known = list(values)
+    return None if None in known else median(value for value in known if value is not None)
 
 
 def _medians(figures: Sequence[Sequence[ForceFigures]]) -> ForceFigures:

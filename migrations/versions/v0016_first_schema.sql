@@ -98,6 +98,16 @@ CREATE TABLE stations (
     CONSTRAINT pk_stations PRIMARY KEY (name),
     CONSTRAINT uq_stations_key_sha256 UNIQUE (key_sha256)
 );
+CREATE TABLE live_pictures (
+    station TEXT NOT NULL,
+    taken_at TIMESTAMP WITH TIME ZONE DEFAULT clock_timestamp() NOT NULL,
+    competition TEXT NOT NULL,
+    track TEXT NOT NULL,
+    stage TEXT NOT NULL,
+    picture BYTEA NOT NULL,
+    CONSTRAINT pk_live_pictures PRIMARY KEY (station, taken_at),
+    CONSTRAINT fk_live_pictures_station FOREIGN KEY(station) REFERENCES stations (name) ON DELETE CASCADE
+);
 CREATE TABLE teams (
     id UUID NOT NULL,
     name VARCHAR(64) NOT NULL,

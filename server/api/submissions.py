@@ -25,7 +25,7 @@ from ..limiter import UPLOADS
 from ..names import TEXT_LENGTH
 from ..principals import Principal
 from ..services import Services
-from ..submissions import disqualification, files, listing, runs, sensors, upload, withdrawal
+from ..submissions import disqualification, files, listing, runs, sensors, trials, upload, withdrawal
 from ..submissions.comparison import MAX_COMPARED, compare_results
 from ..submissions.intake import AnnouncedUpload
 from ..submissions.listing import model_card
@@ -41,6 +41,7 @@ from ..views.submissions import (
     SubmissionListView,
     SubmissionView,
 )
+from ..views.trials import TrialView
 from ..visibility import visible
 from .access import (
     MAX_NUMBER,
@@ -62,6 +63,7 @@ from .uploads import read_number, require_type
 router = APIRouter(prefix="/submissions", tags=["submissions"], responses=RESPONSES)
 comparisons = APIRouter(prefix="/comparisons", tags=["submissions"], responses=RESPONSES)
 
+VIDEO_TYPE = "video/x-motion-jpeg"
 LOG_TYPE = SubmissionKind.LOG.form.content_types[0]
 PING_S = 15
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
@@ -268,6 +270,30 @@ def get_log(
         content = export_log(session, principal, submission_id, task)
     name = f"{submission_id}-{task or 'log'}.jsonl"
     return Response(content, media_type=LOG_TYPE, headers={"Content-Disposition": f'attachment; filename="{name}"'})
+
+
+@router.get("/{submission_id}/trials/{task}/{episode}")
+def get_trial(
+    services: ServicesOf, principal: PublicReaderOf, submission_id: UUID, task: str, episode: int
+) -> TrialView:
+    """Return a trial that a station has played: a team's own, and all once the list is published."""
+    with services.database.reading() as session:
+        return trials.find_trial(session, principal, submission_id, task, episode)
+
+
+@router.get(
+    "/{submission_id}/trials/{task}/{episode}/video",
+    response_class=Response,
+    responses={200: {"content": {VIDEO_TYPE: {}}, "description": "The file for `vitac station verify`."}},
+)
+def get_trial_video(
+    services: ServicesOf, principal: PublicReaderOf, submission_id: UUID, task: str, episode: int
+) -> Response:
+    """Return the video of a trial as the station recorded it."""
+    with services.database.reading() as session:
+        video = trials.find_video(session, principal, submission_id, task, episode)
+    headers = {"Content-Disposition": f'attachment; filename="{submission_id}-{video.name}"'}
+    return Response(services.blobs.read(video.sha256), media_type=VIDEO_TYPE, headers=headers)
 
 
 @router.put("/{submission_id}/public")

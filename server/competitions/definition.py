@@ -113,6 +113,9 @@ class TrialPlan(StrictModel):
     control: str | None = Field(
         default=None, description="Team whose only submission opens every block, to see what changes at a station."
     )
+    live_delay_s: Annotated[float, Field(ge=10, le=86_400)] | None = Field(
+        default=None, description="Everybody watches the trials so much later [s]; by default nobody does."
+    )
 
     @model_validator(mode="after")
     def _names_each_station_once(self) -> Self:

@@ -168,6 +168,7 @@ def _stage(stage: Stage, lists: Lists, now: datetime) -> StageView:
         scored_runs=stage.quotas.scored_runs,
         attempts=stage.quotas.attempts,
         qualified=rules.qualified.sentence if rules.qualified else None,
+        is_planned=rules.plan is not None,
         answer_s=rules.answer_s,
         brief=rules.brief.sentence if rules.brief else None,
         entered=[EnteredTaskView(**task.model_dump()) for task in rules.entered],

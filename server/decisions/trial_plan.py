@@ -9,6 +9,7 @@ from sqlalchemy import Select, func, select
 from sqlalchemy.orm import Session
 from vitac.evaluator.tracks.trial_plan import draw_plan
 
+from ..accounts.shown_names import ShownNames
 from ..audit import record
 from ..competitions.competition import Competition
 from ..competitions.definition import TrialPlan
@@ -66,19 +67,26 @@ def list_trials(session: Session, by: Principal, stage: Stage) -> list[PlannedTr
     """
     _require_plan(stage)
     sees_all = by.organizes(stage.competition) or stage.is_revealed
-    planned = session.scalars(_select(stage).where(~Trial.requires.endswith(UNPLANNED)).order_by(Trial.turn))
+    names = ShownNames.read(session, by)
     return [
         PlannedTrialView(
             position=position,
             station=find_station(trial.requires),
+            team=names.show_name(trial.evaluation.submission.team),
             submission_id=trial.evaluation.submission_id,
+            submission_name=trial.evaluation.submission.name,
             task=trial.task,
             episode=trial.episodes[0],
             state=trial.state,
         )
-        for position, trial in enumerate(planned, start=1)
+        for position, trial in enumerate(planned_trials(session, stage), start=1)
         if sees_all or trial.evaluation.submission.team_id == by.team_id
     ]
+
+
+def planned_trials(session: Session, stage: Stage) -> Sequence[Trial]:
+    """Return all trials that have a place in the plan, in its order."""
+    return session.scalars(_select(stage).where(~Trial.requires.endswith(UNPLANNED)).order_by(Trial.turn)).all()
 
 
 def _select(stage: Stage) -> Select[Trial]:

@@ -12,6 +12,7 @@ from ..database.states import WorkState
 from .base import View
 from .by_hand import EnteredTaskView
 from .leaderboards import LeaderboardView
+from .scores import RateView
 
 
 class CompetitionState(StrEnum):
@@ -32,10 +33,41 @@ class PlannedTrialView(View):
 
     position: int = Field(description="In the plan, from 1.")
     station: str
+    team: str
     submission_id: UUID
+    submission_name: str
     task: str
     episode: int
     state: WorkState
+
+
+class TrialDifferenceView(View):
+    """Two submissions compared in the blocks that are complete."""
+
+    first: str
+    second: str
+    difference: float = Field(description="Success rate of the first minus that of the second.")
+    interval: tuple[float, float] = Field(description="95 % interval of that, by start.")
+    p_value: float = Field(description="Exact permutation test over the starts.")
+
+
+class StationEffectView(RateView):
+    """Trials at one station, whoever's they are."""
+
+    station: str
+    effect: float | None = Field(
+        description="Success rate there minus that elsewhere, the mean over submissions; null for a single station."
+    )
+    effect_interval: tuple[float, float] | None = Field(description="95 % interval of that.")
+
+
+class TrialResultsView(View):
+    """What the plan of a stage shows once its trials are over."""
+
+    blocks: int = Field(description="In which every submission has a result.")
+    trials_left_out: int = Field(description="With a result, in blocks where another submission has none.")
+    differences: list[TrialDifferenceView]
+    stations: list[StationEffectView]
 
 
 class CompetitionSummaryView(View):
@@ -83,6 +115,7 @@ class StageView(View):
     scored_runs: int | None = Field(description="Most scored evaluations of a team; null: any number.")
     attempts: int | None = Field(description="Most evaluations of a team, however they end; null: any number.")
     qualified: str | None = Field(description="Who advances to it, in words; null: it is for all teams.")
+    is_planned: bool = Field(default=False, description="Whether stations play it by a plan of trials.")
     answer_s: float | None = Field(
         default=None, description="Time that a policy server has for each answer [s]; null: as for any action."
     )

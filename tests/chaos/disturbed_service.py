@@ -29,6 +29,9 @@ class DisturbedService:
     folder: Path
     workers: int
     port: int = field(default_factory=lambda: free_port())
+    tracks: Path = TRACKS
+    agents: dict[str, Path] = field(default_factory=dict)
+    """The file of each station whose agent runs, by the agent's name; its key lies beside it."""
     ended: set[int] = field(default_factory=set)
     """Process ids of workers that were asked to end: a second request would end them at once, with all they left."""
     _running: dict[str, "subprocess.Popen[bytes]"] = field(default_factory=dict)
@@ -53,7 +56,7 @@ class DisturbedService:
         return os.environ | {
             "TMPDIR": str(self.temporary_dir),
             "VITAC_STATE_DIR": str(self.state_dir),
-            "VITAC_TRACKS_DIR": str(TRACKS),
+            "VITAC_TRACKS_DIR": str(self.tracks),
             "VITAC_PORT": str(self.port),
             "VITAC_SERVER_PROCESSES": "2",
             "VITAC_REGISTRATIONS_PER_HOUR": "100000",
@@ -126,16 +129,22 @@ class DisturbedService:
 
     def _supervise(self) -> None:
         while not self._stopping.is_set():
-            for name in ("server", *self.worker_names):
+            for name in ("server", *self.worker_names, *list(self.agents)):
                 if self.pid(name) is None:
                     self._launch(name)
             self._stopping.wait(RESTART_PAUSE_S)
 
+    def _words(self, name: str) -> list[str]:
+        """The command of a process, after `vitac`."""
+        if name in self.agents:
+            file = self.agents[name]
+            return ["station", "run", str(file), "--key", str(file.with_suffix(".key"))]
+        return ["serve" if name == "server" else "worker"]
+
     def _launch(self, name: str) -> None:
-        verb = "serve" if name == "server" else "worker"
         with (self.folder / f"{name}.log").open("ab") as log:
             process = subprocess.Popen(
-                [sys.executable, "-c", VITAC, verb],
+                [sys.executable, "-c", VITAC, *self._words(name)],
                 env=self.environment,
                 stdin=subprocess.DEVNULL,
                 stdout=log,

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from functools import partial
+from typing import Any
 from uuid import UUID
 
 from sqlalchemy.orm import Session
@@ -11,7 +12,8 @@ from starlette.responses import Response
 from vitac.server.accounts import messages
 from vitac.server.competitions.competition import Competition
 from vitac.server.competitions.view import competition_list_view, competition_view
-from vitac.server.decisions import entered_results
+from vitac.server.database.states import OPEN_WORK_STATES
+from vitac.server.decisions import entered_results, live_trials, trial_plan, trial_results
 from vitac.server.decisions.publishing import archive_view
 from vitac.server.leaderboards.descriptions import descriptions_among
 from vitac.server.leaderboards.public_pages import public_among
@@ -21,7 +23,7 @@ from vitac.server.views.correspondence import AnnouncementView
 from vitac.server.views.submissions import DescriptionView
 
 from ..front import Countdown
-from ..site import get_principal, get_site, get_viewer, page
+from ..site import get_principal, get_site, get_viewer, open_to_all, page
 from .addresses import board_address, competition_address, read_competition_name
 
 N_SAID = 3
@@ -74,6 +76,52 @@ async def competition(request: Request) -> Response:
         now=(now := datetime.now(UTC)),
         countdowns=list_countdowns(found, now),
     )
+
+
+@open_to_all
+async def trials(request: Request) -> Response:
+    """Show the plan of a stage that stations play: a team's own places, all once they are published, and the results.
+
+    Raises:
+        ServiceError: there is no such stage, or it has no plan.
+    """
+    viewer, named = await get_viewer(request), request.path_params
+    by = get_principal(viewer)
+
+    def read(session: Session) -> dict[str, Any]:
+        held = Competition.find(session, named["competition"], track=named["track"])
+        stage = held.stage(named["track"], named["stage"])
+        own = trial_plan.list_trials(session, by, stage)
+        places = trial_plan.planned_trials(session, stage)
+        return {
+            "stage": stage.rules,
+            "count": len(places),
+            "over": sum(trial.state not in OPEN_WORK_STATES for trial in places),
+            "places": own,
+            "results": trial_results.summarize(session, by, stage),
+            "sees_all": by.organizes(stage.competition) or stage.is_revealed,
+        }
+
+    return page(
+        request,
+        "trials.html",
+        viewer=viewer,
+        section="/competition",
+        competition_url=competition_address(named["competition"]),
+        **await get_site(request).ask(read),
+    )
+
+
+@open_to_all
+async def live_picture(request: Request) -> Response:
+    """Answer with what a station's cameras saw in a running trial, later by the organizer's delay."""
+    named = request.path_params
+    shown = await get_site(request).ask(
+        lambda session: live_trials.find_picture(
+            session, named["competition"], named["track"], named["stage"], named["station"]
+        )
+    )
+    return Response(shown.picture, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
 
 def list_countdowns(found: CompetitionView, now: datetime) -> list[Countdown]:

@@ -20,7 +20,19 @@ from ..documentation.library import ADDRESS, Library
 from ..headers import SecurityHeaders
 from ..rendering import STATIC, static_digest
 from ..site import Page, Site, name_competitions
-from . import briefs, competition, desk, desk_competitions, desk_teams, errors, home, messages, service, tracks
+from . import (
+    briefs,
+    competition,
+    desk,
+    desk_competitions,
+    desk_teams,
+    errors,
+    home,
+    messages,
+    service,
+    tracks,
+    trial,
+)
 from .episodes import embedded
 from .episodes import page as episodes
 from .files import boards
@@ -148,6 +160,10 @@ def pages() -> APIRouter:
         ("/tracks/{track}/rules", tracks.rules, "GET"),
         ("/competitions", competition.competitions, "GET"),
         ("/competitions/{competition}", competition.competition, "GET"),
+        (f"{_COMPETITION}/tracks/{{track}}/stages/{{stage}}/trials", competition.trials, "GET"),
+        (f"{_COMPETITION}/tracks/{{track}}/stages/{{stage}}/live/{{station}}", competition.live_picture, "GET"),
+        (trial.ADDRESS, trial.trial, "GET"),
+        (f"{trial.ADDRESS}/video", trial.video, "GET"),
         ("/competitions/{competition}/archive", competition.archive, "GET"),
         ("/competitions/{competition}/receipts", service.receipts, "GET"),
         ("/competitions/{competition}/appeals", desk.list_appeals, "GET"),

@@ -152,12 +152,16 @@ def _table(shown: dict[str, list[ContactForces]], everything: Sequence[ContactFo
     above = f"{whole.over_force_events} times above {whole.over_force_n:g} N on the held part"
     rows = [
         *((name, *_figures(found.episodes, found.part)) for name, found in groups.items() if found is not None),
-        ("On the more loaded gel", *_figures(whole.episodes, whole.gel)),
+        *([("On the more loaded gel", *_figures(whole.episodes, whole.gel))] if whole.gel else []),
         (above, f"{whole.over_force_episodes}", "", "", ""),
-        (f"Largest stretch of a gel: {whole.largest_stretch:.2f}", f"{whole.episodes}", "", "", ""),
+        *([_describe_stretch(whole.largest_stretch, whole.episodes)] if whole.largest_stretch else []),
     ]
     columns = ("Medians of the episodes", "Episodes", "Peak [N]", "95th percentile [N]", "Impulse [N s]")
     return Table(columns=columns, rows=tuple(rows))
+
+
+def _describe_stretch(largest: float, episodes: int) -> tuple[str, ...]:
+    return f"Largest stretch of a gel: {largest:.2f}", f"{episodes}", "", "", ""
 
 
 def _figures(episodes: int, found: ForceFigures) -> tuple[str, ...]:

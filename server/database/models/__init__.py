@@ -25,7 +25,7 @@ from .evaluations import (
 )
 from .judging import JudgingConflict, JudgingMark
 from .notices import Notice, Webhook
-from .operations import DeclaredEvaluator, MetricTotal, SchemaCompatibility, Station, Worker
+from .operations import DeclaredEvaluator, LivePicture, MetricTotal, SchemaCompatibility, Station, Worker
 from .people import Announcement, Appeal, AppealReplay, Question
 from .playbacks import Playback
 from .receipts import Cosignature, ReceiptKey, ReceiptRow, TreeNode
@@ -56,6 +56,7 @@ __all__ = [
     "Invitation",
     "JudgingConflict",
     "JudgingMark",
+    "LivePicture",
     "LogCopy",
     "Member",
     "MetricTotal",

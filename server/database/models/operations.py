@@ -4,7 +4,7 @@ from datetime import datetime
 from typing import Any
 from uuid import UUID, uuid4
 
-from sqlalchemy import BigInteger, Float, Text, false, func
+from sqlalchemy import BigInteger, Float, ForeignKey, Text, false, func
 from sqlalchemy.dialects.postgresql import ARRAY, JSONB
 from sqlalchemy.orm import Mapped, mapped_column
 
@@ -50,6 +50,18 @@ class Station(Base):
     key_sha256: Mapped[str] = mapped_column(unique=True)
     worker_id: Mapped[UUID | None]
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
+
+
+class LivePicture(Base):
+    """What all cameras of a station saw in a trial of a stage, for visitors who watch later by the stage's delay."""
+
+    __tablename__ = "live_pictures"
+    station: Mapped[str] = mapped_column(ForeignKey("stations.name", ondelete="CASCADE"), primary_key=True)
+    taken_at: Mapped[datetime] = mapped_column(primary_key=True, server_default=func.clock_timestamp())
+    competition: Mapped[str]
+    track: Mapped[str]
+    stage: Mapped[str]
+    picture: Mapped[bytes]
 
 
 class DeclaredEvaluator(Base):

@@ -190,7 +190,7 @@ def check_video(laboratory: Laboratory, record: dict[str, Any]) -> None:
     file.write_bytes(laboratory.service.blobs.read(stored.sha256))
     found = verify_video(file, EpisodeRecord.model_validate(record))
     assert (found.problems, found.code, found.shows_code) == ([], laboratory.shard().code, True)
-    assert record["evidence"]["force"]["peak_n"] > 0
+    assert record["forces"]["part"]["peak_n"] > 0
 
 
 @pytest.mark.slow

@@ -29,7 +29,7 @@ class Cameras:
         write_code(code, folder / "code.png")
         self.reasons: list[str] = []
         self.shown: list[str] = []
-        self.guard = SimpleNamespace(stop=self.reasons.append)
+        self.guard = SimpleNamespace(stop=self.reasons.append, wrench=lambda: (3.0, 4.0, 0.0, 0, 0, 0))
         self.code = np.pad(video_picture(folder / "code.png"), ((0, 200), (0, 300), (0, 0)), constant_values=90)
         self.overview = SimpleNamespace(show_code=self.shown.append, latest=self.code)
         self.looks, self.generator, self.last = 0, np.random.default_rng(1), ((self.code, self.code), 0)

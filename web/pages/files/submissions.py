@@ -6,7 +6,7 @@ from uuid import UUID
 
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
-from vitac.evaluator.episodes.records import ContactForces
+from vitac.evaluator.episodes.records import ContactForces, ForceFigures
 from vitac.evaluator.tracks import load_track
 from vitac.server.csv_text import csv_text
 from vitac.server.principals import Principal
@@ -80,10 +80,10 @@ def _episodes(detail: SubmissionDetail) -> Rows:
 def _forces(forces: ContactForces | None) -> tuple[object, ...]:
     if forces is None:
         return (None,) * len(FORCE_COLUMNS)
-    part, gels = forces.part, forces.gels
+    part, gels = forces.part, forces.gels or ()
     return (
         *(part.peak_n, part.p95_n, part.impulse_n_s),
-        *(max(gel.peak_n for gel in gels), max(gel.p95_n for gel in gels), max(gel.impulse_n_s for gel in gels)),
+        *(max((getattr(gel, name) for gel in gels), default=None) for name in ForceFigures.model_fields),
         *(forces.over_force_events, forces.largest_stretch, forces.high_stretch),
     )
 

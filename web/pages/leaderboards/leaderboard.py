@@ -47,7 +47,7 @@ class Column:
     title: str
     task: str
     shape: str | None = None
-    is_force: bool = False
+    force: str | None = None
     measure: str | None = None
 
 
@@ -160,11 +160,15 @@ def columns(track: Track, task: str | None) -> tuple[Column, ...]:
 
 
 def _force_columns(track: Track, task: str | None, entries: Sequence[LeaderboardEntryView]) -> tuple[Column, ...]:
-    """Return the column of the force on the held part, on the board of one task where an entry has recorded any."""
+    """Return the force on the held part, on the board of one task where an entry has any; of stations two columns."""
     recorded = any(score.forces for entry in entries for score in entry.scores)
     if _is_combined(track, task) or not recorded:
         return ()
-    return (Column(title="Peak force, median", task=task or next(iter(track.tasks)), is_force=True),)
+    only = task or next(iter(track.tasks))
+    peak = Column(title="Peak force, median", task=only, force="peak_n")
+    if all(score.forces is None or score.forces.gel for entry in entries for score in entry.scores):
+        return (peak,)
+    return peak, Column(title="95th percentile of force, median", task=only, force="p95_n")
 
 
 def _is_combined(track: Track, task: str | None) -> bool:
@@ -183,9 +187,9 @@ def _cell(column: Column, row: LeaderboardEntryView | BaselineView) -> Cell:
     score = next((score for score in scores if score.task == column.task), None)
     if score is None:
         return Cell(notes=("not submitted",))
-    if column.is_force:
+    if column.force is not None:
         forces = score.forces if isinstance(score, TaskScoreView) else None
-        return Cell(text=f"{forces.part.peak_n:.1f} N" if forces else "–")
+        return Cell(text=f"{getattr(forces.part, column.force):.1f} N" if forces else "–")
     if column.shape is None:
         notes = (f"{score.successes} of {score.episodes}",)
         return Cell(

@@ -13,6 +13,7 @@ def test_medians_are_over_the_episodes_that_have_forces() -> None:
 def test_a_gel_counts_by_its_more_loaded_side() -> None:
     found = summarize_forces([some_forces(1.0, gels_n=(30.0, 40.0)), some_forces(1.0, gels_n=(50.0, 35.0))])
     assert found is not None
+    assert found.gel is not None
     assert found.gel.peak_n == 45.0
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from enum import StrEnum
 from functools import cache
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 from uuid import UUID, uuid4
@@ -18,7 +19,7 @@ from httpx import Response
 from sensor_checks import check_sensors
 from service_client import POLICY, Service, bearer, copied_service, make_archive, running_service
 from service_factories import TASK, TRACK, make_principal, make_score, make_settings, play_all, submit, submit_scored
-from sqlalchemy import delete
+from sqlalchemy import delete, select
 from vitac.server.accounts import members, messages, stations, tokens
 from vitac.server.api.app import create_app
 from vitac.server.database.engine import Database
@@ -27,17 +28,20 @@ from vitac.server.database.models import (
     Appeal,
     Brief,
     CompetitionRow,
+    EpisodeResult,
     Invitation,
     Notice,
     Question,
     Rejudgement,
     Submission,
+    SubmissionFile,
     Team,
     Webhook,
     Worker,
 )
-from vitac.server.database.states import NoticeChannel, NoticeKind, Role, WorkerState
+from vitac.server.database.states import FileRole, NoticeChannel, NoticeKind, Role, WorkerState
 from vitac.server.decisions.rejudging_comparison import compute_revision
+from vitac.server.evaluations.episode_store import EpisodeKey
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.principals import CONSOLE, Audience
 from vitac.server.submissions import appeals
@@ -180,6 +184,8 @@ class Setting:
             ids["notice_id"] = self.new_notice()
         if path == STATION:
             self.new_station()
+        if "/trials/{task}" in path:
+            ids |= self.new_trial()
         if "{team_id}" in path:
             ids["team_id"] = str(self.service.principal.team_id)
             if (method, path) in ENDS_A_TEAM:
@@ -228,6 +234,25 @@ class Setting:
             session.add(made)
             session.flush()
             return str(made.id)
+
+    def new_trial(self) -> dict[str, str]:
+        """Task and number of an episode of the submission that a station has played."""
+        content = b"frames"
+        video = {"code": "0" * 16, "frames": 1, "link": "0" * 64, "sha256": sha256(content).hexdigest(), "n_bytes": 6}
+        file = self.service.settings.scratch_dir / "video"
+        file.write_bytes(content)
+        self.service.services.blobs.put(file, str(video["sha256"]))
+        with self.service.database.transaction() as session:
+            submission = session.get_one(Submission, UUID(self.submission_id))
+            key = EpisodeKey.from_evaluation(newest_evaluation(session, submission), submission)
+            episode = session.scalars(select(EpisodeResult).where(*key.conditions()).limit(1)).one()
+            no_infos: list[dict[str, Any]] = [{}] * len(episode.record["infos"])
+            evidence = {"station": "lab", "video": video}
+            episode.record = episode.record | {"evidence": evidence, "infos": no_infos}
+            stored = {"submission_id": UUID(self.submission_id), "role": FileRole.VIDEO, "sha256": video["sha256"]}
+            if session.get(SubmissionFile, tuple(stored.values())) is None:
+                session.add(SubmissionFile(**stored, n_bytes=6, name="trial.mjpeg", facts={}))
+            return {"task": episode.task, "episode": str(episode.episode)}
 
     def new_station(self) -> None:
         """The station `lab`, which may be there already."""
