@@ -61,6 +61,10 @@ def twin(
             "structure, too. Public by default."
         ),
     ] = None,
+    identified: Annotated[
+        Path | None,
+        typer.Option(help="File of `vitac station identify`, in place of a secret: that station's twin."),
+    ] = None,
     faults: Annotated[Path | None, typer.Option(help="Script of what breaks, and when (YAML).")] = None,
     shape: Annotated[str, typer.Option(help="Peg and hole: cuboid, trapezoid or concave1.")] = "cuboid",
     fusion: Annotated[
@@ -72,6 +76,8 @@ def twin(
     ] = False,
 ) -> None:
     """Run twins of all devices, which behave by our physics, until Ctrl-C or SIGTERM."""
+    from vitac.evaluator.strict_model import read_yaml
+    from vitac.station.identification.station import IdentifiedStation
     from vitac.station.twin.bench import Bench
     from vitac.station.twin.hidden import PUBLIC_TWIN, FaultScript, read_faults, read_secret
     from vitac.station.twin.laboratory import playing_station
@@ -80,7 +86,11 @@ def twin(
 
     if file.exists():
         raise typer.BadParameter(f"{file} exists; name a new file.")
+    if secret and identified:
+        raise typer.BadParameter("expected --secret or --identified, got both.", param_hint="--identified")
     drawn = read_secret(secret) if secret else PUBLIC_TWIN
+    if identified:
+        drawn = drawn._replace(hidden=read_yaml(IdentifiedStation, identified).settings)
     bench = Bench(
         hidden=drawn.hidden,
         mark=drawn.mark,
@@ -114,6 +124,37 @@ def _read_shape(name: str) -> "PegShape":
     if name not in set(PegShape):
         raise typer.BadParameter(f"expected one of {', '.join(PegShape)}, got {name!r}.", param_hint="--shape")
     return PegShape(name)
+
+
+@app.command("identify")
+def identify(
+    file: Annotated[Path, typer.Argument(help="Description of the station (YAML).", exists=True, dir_okay=False)],
+    out: Annotated[Path, typer.Option(help="Where to write the settings (YAML); a new file.")],
+) -> None:
+    """Touch plate and hole, and estimate frictions, gel, cameras and places, with 95 % intervals."""
+    import yaml
+    from vitac.station.description import read_description
+    from vitac.station.eyes import open_station
+    from vitac.station.identification.station import identify
+    from vitac.station.rehearsal import refuse_wrong_devices
+
+    if out.exists():
+        raise typer.BadParameter(f"{out} exists; name a new file.", param_hint="--out")
+    description = read_description(file)
+    refuse_wrong_devices(description)
+    with open_station(description) as station:
+        settings = identify(station, lambda sentence: print(sentence, flush=True))
+    if settings.twin:
+        print(f"{settings.station} is {settings.twin}.")
+    rows = [
+        (name, f"{each.value:.4g}", f"{each.low:.4g} to {each.high:.4g}", "yes" if each.seen else "no")
+        for name, each in settings.estimates.items()
+    ]
+    print_table(("number", "estimate", "95 % interval", "seen"), rows, none="")
+    for sentence in settings.unseen:
+        print(f"Probing cannot show {sentence}.")
+    out.write_text(yaml.safe_dump(settings.model_dump(mode="json"), sort_keys=False), encoding="utf-8")
+    print(f"{out} has the settings: take them with `vitac station twin --identified` and as `draws` of environments.")
 
 
 @app.command("track")

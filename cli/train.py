@@ -34,7 +34,21 @@ Sensor = Annotated[
 
 
 @app.command()
-def run(recipe: RecipeFile, out: RunFolder, processes: Processes = 1, ray: Ray = None, as_json: AsJson = False) -> None:
+def run(
+    recipe: RecipeFile,
+    out: RunFolder,
+    processes: Processes = 1,
+    ray: Ray = None,
+    identified: Annotated[
+        Path | None,
+        typer.Option(
+            help="File of `vitac station identify`: episodes have that station's frictions, gel and grasp.",
+            exists=True,
+            dir_okay=False,
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
     """Train a policy, or continue its training; Ctrl-C loses at most the current round.
 
     Weights that are learned use one thread, so that their bits do not depend on the number of cores.
@@ -43,7 +57,13 @@ def run(recipe: RecipeFile, out: RunFolder, processes: Processes = 1, ray: Ray =
     from vitac.training.recipe import read_recipe
     from vitac.training.run import Folder, Run, best, format_rate
 
-    training = Run(recipe=read_recipe(recipe), folder=Folder(path=out), processes=processes, ray=ray, tell=_tell)
+    plan = read_recipe(recipe)
+    if identified:
+        from vitac.evaluator.strict_model import read_yaml
+        from vitac.station.identification.station import IdentifiedStation
+
+        plan = plan.model_copy(update={"draws": read_yaml(IdentifiedStation, identified).draws})
+    training = Run(recipe=plan, folder=Folder(path=out), processes=processes, ray=ray, tell=_tell)
     with _training(out):
         results = training.go()
     chosen = best(results)

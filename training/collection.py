@@ -119,6 +119,7 @@ class CollectedBatch:
         count: how many.
         noise: largest spread of the noise on the actions of student and critic.
         fidelity: of the simulation.
+        draws: quantities that differ from episode to episode, with their lowest and highest values.
     """
 
     kind: ActorKind
@@ -128,6 +129,7 @@ class CollectedBatch:
     count: int
     noise: float = 0.0
     fidelity: Fidelity = Fidelity.FULL
+    draws: tuple[tuple[str, float, float], ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -224,7 +226,7 @@ def _is_whole(path: Path) -> bool:
 def _play(work: _Work) -> dict[str, NDArray[Any]]:
     """Play the episodes of a file, and return what goes into it."""
     batch = work.batch
-    env = _environment(batch.fidelity)
+    env = _environment(batch)
     played = play(env, _actor(work), stream(batch.seed, batch.use), range(work.first, work.first + work.count))
     return played.arrays()
 
@@ -242,12 +244,14 @@ def _actor(work: _Work) -> MakeActor:
     return critic_actor(critic, noise)
 
 
-_ENVIRONMENTS: dict[tuple[int, Fidelity], Any] = {}
+_ENVIRONMENTS: dict[tuple[Any, ...], Any] = {}
 """Environments of each process."""
 
 
-def _environment(fidelity: Fidelity) -> Any:
-    key = os.getpid(), fidelity
+def _environment(batch: CollectedBatch) -> Any:
+    key = os.getpid(), batch.fidelity, batch.draws
     if key not in _ENVIRONMENTS:
-        _ENVIRONMENTS[key] = make_environment(fidelity=fidelity.value)
+        draws = {name: (low, high) for name, low, high in batch.draws}
+        drawn = {"contact_model": "arena-2", "draws": draws} if draws else {}
+        _ENVIRONMENTS[key] = make_environment(fidelity=batch.fidelity.value, **drawn)
     return _ENVIRONMENTS[key]

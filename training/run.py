@@ -193,7 +193,14 @@ class Run:
     def _batch(self, kind: ActorKind, use: Use, first: int, count: int, noise: float) -> CollectedBatch:
         fidelity = self.recipe.fidelity if use is Use.COLLECT else Fidelity.FULL
         return CollectedBatch(
-            kind=kind, seed=self.recipe.seed, use=use, first=first, count=count, noise=noise, fidelity=fidelity
+            kind=kind,
+            seed=self.recipe.seed,
+            use=use,
+            first=first,
+            count=count,
+            noise=noise,
+            fidelity=fidelity,
+            draws=tuple((name, low, high) for name, (low, high) in sorted(self.recipe.draws.items())),
         )
 
     def _collected(self, batch: CollectedBatch, networks: Networks | None) -> Episodes:

@@ -47,7 +47,7 @@ _CREEP: Final = 4.0
 _WAY_MM: Final = 0.5
 """Longest way in one IPC step."""
 _TURN_DEG: Final = 1.0
-_GRIP_MM: Final = -8.0
+GRIP_MM: Final = -8.0
 """Of the gripper from the peg's upper end."""
 _PEG, _PLATE = 2, 3
 """Their numbers among the bodies of the scene: the gels are the first two."""
@@ -306,7 +306,7 @@ def _settings(kind: type[_Settings], hidden: HiddenSettings, physics: PhysicsSet
         clearance_mm=kind.clearance_mm + hidden.structure.tolerance_mm,
         indentation_mm=hidden.indentation_mm,
         gripper_x_mm=hidden.grasp_x_mm,
-        gripper_z_mm=_GRIP_MM + hidden.grasp_z_mm,
+        gripper_z_mm=GRIP_MM + hidden.grasp_z_mm,
         physics=physics,
     )
 

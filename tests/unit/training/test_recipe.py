@@ -44,3 +44,10 @@ def test_values_reach_the_learners(tmp_path: Path) -> None:
 def test_mistakes_are_named(tmp_path: Path, text: str, told: str) -> None:
     with pytest.raises(DocumentRejected, match=told):
         read(tmp_path, text)
+
+
+def test_draws_make_another_recipe(tmp_path: Path) -> None:
+    plain = read(tmp_path, "task: peg-insertion\nseed: 3\n")
+    drawn = read(tmp_path, "task: peg-insertion\nseed: 3\ndraws: {gel_friction: [0.8, 0.9]}\n")
+    assert drawn.draws == {"gel_friction": (0.8, 0.9)}
+    assert plain.digest() != drawn.digest()

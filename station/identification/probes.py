@@ -1,0 +1,239 @@
+"""The moves from which a station is identified, through the guard, and what was seen and felt at each."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from vitac.envs.errors import VitacError
+
+from ..arm import Arm, Offset
+from ..devices.stage import Pose
+from ..eyes import OpenStation
+from ..perception.markers import MarkerFlow
+
+Force = NDArray[np.float64]
+
+LIGHT_FORCE: Final = 3
+"""Of the gripper where the peg has to slip between the gels."""
+_REST_PICTURES: Final = 10
+_BESIDE_MM: Final = 4.5
+"""Of the peg's middle from the hole's where it stands on the plate."""
+_ABOVE_MM: Final = 0.7
+_BELOW_MM: Final = 0.8
+_IN_HOLE_MM: Final = 1.5
+_TOUCH_N: Final = 0.6
+_PRESS_N: Final = 14.0
+_SLOW_MM_S, _WALL_MM_S = 0.2, 0.5
+_STEP_MM, _LIGHT_STEP_MM, _WALL_STEP_MM = 0.05, 0.15, 0.15
+_PRESS_STEPS, _LIGHT_STEPS, _WALL_STEPS, _HOLDS = 14, 14, 3, 12
+_HOLD_S: Final = 0.5
+_SLIDES_MM: Final = (0.3, 0.6, 0.9, 1.2, 0.9, 0.6, 0.3, 0.0)
+_TOWARDS_WALL_MM, _WALL_N = 3.0, 1.0
+_TURN_DEG, _TURN_STEP_DEG, _TURN_NM = 14.0, 0.5, 0.05
+
+
+class NothingFelt(VitacError):
+    """A probe met nothing where plate or hole should be; correct hole and shape in the station's file."""
+
+
+class Probe(StrEnum):
+    """What was done."""
+
+    GRASP = "grasp"
+    AIR = "air"
+    PRESS = "press"
+    HOLD = "hold"
+    SLIDE = "slide"
+    SIDE = "side"
+    MIDDLE = "middle"
+    WALL = "wall"
+    TURN = "turn"
+    LIGHT_GRASP = "light-grasp"
+    LIGHT = "light"
+
+
+class Sample(NamedTuple):
+    """One moment of a probe, at rest.
+
+    Attributes:
+        probe: what was done.
+        axes: of the stage, by its encoders [mm, deg].
+        wrench: of the force/torque sensor since the last sample in free air [N, N m], shape [6].
+        flows: of both gels since they were free.
+        after_s: since the first sample of a hold, by pictures [s].
+    """
+
+    probe: Probe
+    axes: Pose
+    wrench: Force
+    flows: tuple[MarkerFlow, MarkerFlow]
+    after_s: float = 0.0
+
+
+@dataclass(kw_only=True)
+class Probing:
+    """Everything that was seen and felt.
+
+    Attributes:
+        rest_px: markers of the left and the right gel while nothing touches them, each shape [n, 2] [pixel].
+        samples: in their order.
+    """
+
+    rest_px: tuple[NDArray[np.float64], NDArray[np.float64]]
+    samples: list[Sample] = field(default_factory=list)
+
+    def of(self, *probes: Probe) -> list[Sample]:
+        """Return the samples of some probes."""
+        return [sample for sample in self.samples if sample.probe in probes]
+
+
+def play_probes(station: OpenStation, show: Callable[[Probe], None] = lambda _: None) -> Probing:
+    """Play all probes, and let go of the peg in its garage.
+
+    Args:
+        station: open and safe, with the peg in its garage or in the gripper.
+        show: called as each begins.
+
+    Raises:
+        NothingFelt: plate or hole are not where the file says.
+        NoPeg: the gripper closes on nothing.
+    """
+    return _Prober(station, show).play()
+
+
+class _Prober:
+    def __init__(self, station: OpenStation, show: Callable[[Probe], None]) -> None:
+        self._station, self._arm, self._show = station, Arm(station), show
+        self._zero: Force = np.zeros(6)
+        self._probing = Probing(rest_px=(np.zeros((0, 2)), np.zeros((0, 2))))
+
+    def play(self) -> Probing:
+        show, arm = self._show, self._arm
+        show(Probe.GRASP)
+        arm.open_in_garage()
+        self._probing.rest_px = self._see_free_gels()
+        arm.fetch()
+        self._sample(Probe.GRASP)
+        show(Probe.PRESS)
+        self._go_above((_BESIDE_MM, 0.0, 0.0))
+        self._press(Probe.PRESS, _PRESS_STEPS, _STEP_MM)
+        show(Probe.HOLD)
+        procedure = self._station.procedure
+        pause_s = math.ceil((_HOLD_S + procedure.latency_s) / procedure.picture_s) * procedure.picture_s
+        for number in range(_HOLDS):
+            self._sample(Probe.HOLD, number * pause_s, wait_s=_HOLD_S)
+        show(Probe.SLIDE)
+        pressed = arm.pose()
+        for way_mm in _SLIDES_MM:
+            self._go(pressed._replace(x_mm=pressed.x_mm - way_mm), Probe.SLIDE)
+        show(Probe.SIDE)
+        for x_mm, y_mm in ((_BESIDE_MM, 0.0), (0.0, _BESIDE_MM), (-_BESIDE_MM, 0.0), (0.0, -_BESIDE_MM)):
+            self._go_above((x_mm, y_mm, 0.0))
+            self._descend()
+            self._sample(Probe.SIDE)
+        show(Probe.WALL)
+        self._go_above((0.0, 0.0, 0.0))
+        middle = arm.place((0.0, 0.0, 0.0), arm.height_mm(-_IN_HOLE_MM))
+        self._go(middle, Probe.MIDDLE)
+        for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+            self._push_wall(middle, x, y)
+        show(Probe.TURN)
+        for sign in (1, -1):
+            self._turn(middle, sign)
+        show(Probe.LIGHT)
+        arm.lift(self._station.procedure.safe_z_mm)
+        arm.fetch(LIGHT_FORCE)
+        self._sample(Probe.LIGHT_GRASP)
+        self._go_above((_BESIDE_MM, 0.0, 0.0))
+        self._press(Probe.LIGHT, _LIGHT_STEPS, _LIGHT_STEP_MM)
+        arm.lift(self._station.procedure.safe_z_mm)
+        arm.open_in_garage()
+        return self._probing
+
+    def _see_free_gels(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        eyes = self._station.eyes
+        sights = [eyes.start_again() for _ in range(_REST_PICTURES)]
+        left, right = ([sight.left.reference for sight in sights], [sight.right.reference for sight in sights])
+        return _mean_markers(left), _mean_markers(right)
+
+    def _go_above(self, offset: Offset) -> None:
+        """Go over a place without touching the plate, and take what is felt there for nothing."""
+        arm, procedure = self._arm, self._station.procedure
+        arm.lift(arm.height_mm(procedure.lateral_mm))
+        if arm.pose().z_mm > procedure.safe_z_mm - 1.0:
+            arm.go(arm.place(offset, procedure.safe_z_mm))
+        arm.go(arm.place(offset, arm.height_mm(procedure.lateral_mm)))
+        arm.go(arm.place(offset, arm.height_mm(_ABOVE_MM)))
+        arm.settle(_HOLD_S)
+        self._zero = self._wrench()
+        self._sample(Probe.AIR)
+
+    def _press(self, probe: Probe, steps: int, step_mm: float) -> None:
+        touched = self._descend()
+        self._sample(probe)
+        for step in range(1, steps + 1):
+            self._go(touched._replace(z_mm=touched.z_mm - step * step_mm), probe)
+            if self._felt()[2] > _PRESS_N:
+                return
+
+    def _descend(self) -> Pose:
+        """Come down until the force sensor feels the plate."""
+        lowest = self._arm.pose()._replace(z_mm=self._arm.height_mm(-_BELOW_MM))
+        return self._go_until(lowest, _SLOW_MM_S, lambda felt: felt[2] > _TOUCH_N, "plate")
+
+    def _push_wall(self, middle: Pose, x: int, y: int) -> None:
+        far = middle._replace(x_mm=middle.x_mm + x * _TOWARDS_WALL_MM, y_mm=middle.y_mm + y * _TOWARDS_WALL_MM)
+        there = self._go_until(far, _WALL_MM_S, lambda felt: math.hypot(felt[0], felt[1]) > _WALL_N, "wall of the hole")
+        for step in range(_WALL_STEPS):
+            way_mm = step * _WALL_STEP_MM
+            self._go(there._replace(x_mm=there.x_mm + x * way_mm, y_mm=there.y_mm + y * way_mm), Probe.WALL)
+        self._go(middle, Probe.MIDDLE)
+
+    def _turn(self, middle: Pose, sign: int) -> None:
+        far = middle._replace(rotation_deg=middle.rotation_deg + sign * _TURN_DEG)
+        there = self._go_until(far, _WALL_MM_S, lambda felt: abs(felt[5]) > _TURN_NM, "wall of the hole, turning")
+        for step in range(_WALL_STEPS):
+            self._go(there._replace(rotation_deg=there.rotation_deg + sign * step * _TURN_STEP_DEG), Probe.TURN)
+        self._go(middle, Probe.MIDDLE)
+
+    def _go_until(self, target: Pose, speed_mm_s: float, is_met: Callable[[Force], bool], name: str) -> Pose:
+        if self._arm.go_until(target, speed_mm_s, lambda _sight, _pose: bool(is_met(self._felt()))) is None:
+            raise NothingFelt(
+                f"A probe felt no {name} on its way to {tuple(target)}. Correct hole and shape in the file."
+            )
+        return self._arm.pose()
+
+    def _go(self, target: Pose, probe: Probe) -> None:
+        self._arm.go(target)
+        self._sample(probe)
+
+    def _wrench(self) -> Force:
+        wrench = self._station.guard.wrench()
+        if wrench is None:
+            raise NothingFelt("The force/torque sensor has sent nothing. Check its cable.")
+        return np.array(wrench)
+
+    def _felt(self) -> Force:
+        return self._wrench() - self._zero
+
+    def _sample(self, probe: Probe, after_s: float = 0.0, wait_s: float = 0.1) -> None:
+        sight = self._arm.settle(wait_s)
+        self._probing.samples.append(
+            Sample(probe, self._arm.pose(), self._felt(), (sight.left, sight.right), after_s=after_s)
+        )
+
+
+def _mean_markers(pictures: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Return the mean places of markers that most pictures show, by the first of them."""
+    first = pictures[0]
+    found: list[list[NDArray[np.float64]]] = [[] for _ in first]
+    for markers in pictures:
+        distances = np.linalg.norm(first[:, None] - markers[None], axis=2)
+        for number, (nearest, distance) in enumerate(zip(distances.argmin(1), distances.min(1), strict=True)):
+            if distance < 2.0:
+                found[number].append(markers[nearest])
+    return np.array([np.mean(each, axis=0) for each in found if 2 * len(each) > len(pictures)])

@@ -1,0 +1,80 @@
+"""What probes show of a station: cameras, viscosity and tilt by themselves, and what is said of the rest."""
+
+import numpy as np
+import pytest
+from vitac.envs.tactile.gel import arena_gel_mesh
+from vitac.station.devices.stage import Pose
+from vitac.station.identification.camera import TooFewMarkers, fit_camera, undo_lens
+from vitac.station.identification.mechanics import Estimate
+from vitac.station.identification.probes import Probe, Probing, Sample
+from vitac.station.identification.station import _draws, _fit_tilt, _fit_viscosity
+from vitac.station.perception.markers import MarkerFlow, cut_picture, find_centres
+from vitac.station.twin.gel_view import GelView, marker_grid, see_through_lens
+from vitac.station.twin.hidden import HiddenSensor
+
+NO_MARKERS = MarkerFlow(np.zeros((0, 2)), np.zeros((0, 2)))
+
+
+def sample(probe: Probe, axes: tuple[float, float, float], force_n: float, after_s: float = 0.0) -> Sample:
+    wrench = np.array((0.0, 0.0, force_n, 0.0, 0.0, 0.0))
+    return Sample(probe, Pose(*axes, 0.0), wrench, (NO_MARKERS, NO_MARKERS), after_s)
+
+
+def probing(*samples: Sample) -> Probing:
+    return Probing(rest_px=(marker_grid(), marker_grid()), samples=list(samples))
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_camera_is_found_from_a_picture_of_a_free_gel_within_a_pixel(seed: int) -> None:
+    u, v, turn, lens = np.random.default_rng(seed).uniform(-1.0, 1.0, 4).tolist()
+    sensor = HiddenSensor(shift_px=(4 * u, 4 * v), turn_deg=1.5 * turn, distortion=0.03 * lens, worn=3, seed=seed)
+    fitted = fit_camera(find_centres(cut_picture(GelView(arena_gel_mesh(), sensor).picture())))
+    places = np.random.default_rng(seed).uniform((10, 10), (310, 230), (50, 2))
+    errors_px = np.linalg.norm(see_through_lens(fitted.sensor, places) - see_through_lens(sensor, places), axis=1)
+    assert errors_px.max() < 1.0
+    true = dict(zip(fitted.values, (*sensor.shift_px, sensor.turn_deg, sensor.distortion), strict=True))
+    assert all(abs(fitted.values[name] - true[name]) < 4.0 * fitted.deviations[name] for name in true)
+    assert undo_lens(sensor, see_through_lens(sensor, places)) == pytest.approx(places, abs=1e-6)
+
+
+def test_a_gel_without_markers_says_what_to_do() -> None:
+    with pytest.raises(TooFewMarkers, match="got 4"):
+        fit_camera(marker_grid()[:4])
+
+
+@pytest.mark.parametrize(("ratio", "is_seen"), [(0.15, True), (0.0, False)])
+def test_viscosity_is_seen_where_a_held_press_relaxes(ratio: float, is_seen: bool) -> None:
+    random = np.random.default_rng(1)
+    times_s = 0.6 * np.arange(12)
+    forces_n = 8.0 * (1.0 + ratio * np.exp(-times_s / 1.5)) + 0.005 * random.normal(size=12)
+    held = [sample(Probe.HOLD, (0.0, 0.0, 0.0), *each) for each in zip(forces_n, times_s, strict=True)]
+    branch, estimates = _fit_viscosity(probing(*held))
+    assert (branch is not None) == is_seen
+    assert estimates["viscous_ratio"].value == pytest.approx(ratio, abs=0.01)
+    if branch:
+        assert branch.relaxation_time_s == pytest.approx(1.5, rel=0.3)
+
+
+def test_tilt_of_the_plate_follows_from_where_its_sides_are_touched() -> None:
+    slope_x, slope_y, n_mm = 0.01, -0.02, 10.0
+    press = [sample(Probe.PRESS, (4.5, 0.0, -z), n_mm * z) for z in (0.0, 0.1, 0.2)]
+    sides = [
+        sample(Probe.SIDE, (x, y, -40.0 + slope_x * x + slope_y * y - force / n_mm), force)
+        for (x, y), force in zip(((4.5, 0.0), (0.0, 4.5), (-4.5, 0.0), (0.0, -4.5)), (1.0, 1.5, 0.8, 1.2), strict=True)
+    ]
+    tilt = _fit_tilt(probing(*press, *sides))
+    assert tilt["plate_tilt_x_deg"].value == pytest.approx(np.degrees(slope_y), abs=1e-3)
+    assert tilt["plate_tilt_y_deg"].value == pytest.approx(-np.degrees(slope_x), abs=1e-3)
+    assert tilt["plate_tilt_x_deg"].low < tilt["plate_tilt_x_deg"].value < tilt["plate_tilt_x_deg"].high
+
+
+def test_environments_get_the_intervals_of_what_was_seen_alone() -> None:
+    names = ("youngs_modulus_pa", "poisson_ratio", "viscous_ratio", "indentation_mm", "gel_friction", "plate_friction",
+             "grasp_x_mm", "grasp_z_mm")  # fmt: skip
+    estimates = {name: Estimate(0.4, 0.3, 0.5, name != "gel_friction") for name in names}
+    estimates["youngs_modulus_pa"] = Estimate(2e5, 1.9e5, 2.1e5, True)
+    draws = _draws(estimates)
+    assert draws["gel_modulus_kpa"] == pytest.approx((190.0, 210.0))
+    assert draws["gel_poisson_ratio"] == pytest.approx((0.3, 0.49))  # as far as environments can have it
+    assert draws["gripper_z_mm"] == pytest.approx((-7.7, -7.5))
+    assert "gel_friction" not in draws
