@@ -29,6 +29,7 @@ from ..tracks import load_track
 from .archive import ArchiveEntry, packed_files, unpacked_too_large, write
 from .manifest import load_manifest
 from .names import REQUIREMENTS_NAME, ArchiveFault, ArchiveRejected, NamedEntry, check_names, listed
+from .registries import REGISTRIES_VARIABLE, fetch_wheel
 
 PACKED_FOLDER: Final = "wheels"
 HOUSE_VARIABLE: Final = "VITAC_WHEEL_HOUSE"
@@ -57,6 +58,15 @@ class _Requirement:
     @property
     def name(self) -> str:
         return canonicalize_name(self.requirement.name)
+
+    def is_met_by(self, file_name: str) -> bool:
+        """Return whether a file of this name is a wheel of the right version, for this machine."""
+        try:
+            name, version, _, tags = parse_wheel_filename(file_name)
+        except InvalidWheelFilename:
+            return False
+        is_version = self.requirement.specifier.contains(version, prereleases=True)
+        return name == self.name and is_version and not tags.isdisjoint(_machine_tags())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,31 +225,29 @@ def _other_hash(wheel: _Wheel, required: _Requirement) -> ArchiveRejected:
 
 
 def _open_required(required: _Requirement, limits: Limits, exits: ExitStack) -> _Wheel:
-    """Return the wheel from the wheel house that a line names."""
-    named = os.environ.get(HOUSE_VARIABLE)
+    """Return the wheel that a line names, from the wheel house or a registry."""
+    house, registries = os.environ.get(HOUSE_VARIABLE), os.environ.get(REGISTRIES_VARIABLE)
     remedy = f"put its wheel into {PACKED_FOLDER}/: `{_download(str(required.requirement))}`"
-    if not named:
+    if not (house or registries):
         raise _rejected(
             f"{REQUIREMENTS_NAME} names {required.requirement}, but there is no wheel house here; {remedy}."
         )
     rejection = _rejected(
-        f"{REQUIREMENTS_NAME} names {required.requirement}, of which the wheel house has no wheel for "
-        f"{_describe_machine()}; ask the organizers, or {remedy}."
+        f"{REQUIREMENTS_NAME} names {required.requirement}, of which {'the wheel house' if house else 'no registry'} "
+        f"has {'no' if house else 'a'} wheel for {_describe_machine()}; ask the organizers, or {remedy}."
     )
-    for path in sorted(Path(named).glob("*.whl")):
-        try:
-            name, version, _, tags = parse_wheel_filename(path.name)
-        except InvalidWheelFilename:
-            continue
-        if name != required.name or not required.requirement.specifier.contains(version, prereleases=True):
-            continue
-        if tags.isdisjoint(_machine_tags()):
+    for path in sorted(Path(house).glob("*.whl")) if house else ():
+        if not required.is_met_by(path.name):
             continue
         wheel = _open(path, path.name, limits, exits)
         if f"sha256:{wheel.sha256}" in required.hashes:
             return wheel
         rejection = _other_hash(wheel, required)
-    raise rejection
+    digests = {each.removeprefix("sha256:") for each in required.hashes}
+    fetched = fetch_wheel(required.name, digests, required.is_met_by, limits.archive_packed_bytes)
+    if fetched is None:
+        raise rejection
+    return _open(fetched, fetched.name, limits, exits)
 
 
 # Wheels

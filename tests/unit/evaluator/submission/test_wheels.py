@@ -1,8 +1,13 @@
 """A wheel here has a module, METADATA and an empty RECORD; pip's own makes are played in tests/integration/sandbox."""
 
 import hashlib
+import json
+import shutil
 import stat
-from collections.abc import Mapping
+import threading
+from collections.abc import Iterator, Mapping
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
@@ -19,6 +24,7 @@ PIN = "feelings==1.0"
 def staged(folder: Path, files: Mapping[str, str | bytes], limits: Limits | None = None) -> Path:
     """Stage a submission with more files, as a folder and as a zip, which must give the same."""
     files = {**FILES, **files}
+    folder.mkdir(exist_ok=True)
     archive = folder / "submission.zip"
     archive.write_bytes(submission_zip(files))
     of_zip = stage(archive, folder / "of_zip", limits)
@@ -206,6 +212,78 @@ elsewhere==1.0 ; sys_platform == 'win32' --hash=sha256:{"0" * 64}
 def test_the_wheel_house_gives_only_what_is_meant(line: str, sentence: str, tmp_path: Path) -> None:
     with pytest.raises(ArchiveRejected, match=sentence):
         raise rejected(tmp_path, {"requirements.txt": line})
+
+
+@pytest.fixture
+def registry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder of which each inner folder is a package of a registry: its list, and its files."""
+    folder = tmp_path / "registry"
+    handler = partial(SimpleHTTPRequestHandler, directory=str(folder))
+    (folder / "feelings").mkdir(parents=True)
+    monkeypatch.setattr(SimpleHTTPRequestHandler, "log_message", lambda *_: None)
+    monkeypatch.setenv("VITAC_CACHE_DIR", str(tmp_path / "cache"))
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        address = f"http://127.0.0.1:{server.server_port}"
+        monkeypatch.setenv("VITAC_WHEEL_REGISTRIES", f"{address}/unknown/, {address}")
+        yield folder / "feelings"
+        server.shutdown()
+        thread.join()
+
+
+def publish(registry: Path, wheel: bytes, name: str = "feelings-1.0-py3-none-any.whl", digest: str = "") -> str:
+    """Put a wheel into the registry; return the line of requirements.txt that means it."""
+    digest = digest or hashlib.sha256(wheel).hexdigest()
+    (registry / "1.whl").write_bytes(wheel)
+    others = [{"filename": "feelings-1.0.tar.gz", "url": "x", "hashes": {"sha256": digest}}, {"filename": 3}]
+    files = [*others, {"filename": name, "url": "1.whl", "hashes": {"sha256": digest}}]
+    (registry / "index.html").write_text(json.dumps({"meta": {"api-version": "1.0"}, "files": files}))
+    return f"{PIN} --hash=sha256:{digest}"
+
+
+def test_a_registry_is_asked_once_for_a_wheel_by_its_hash(registry: Path, tmp_path: Path) -> None:
+    line = publish(registry, wheel_bytes())
+    folder = staged(tmp_path / "one", {"requirements.txt": line})
+    assert policy_versions(folder, ())["feelings"] == "1.0"
+    shutil.rmtree(registry)
+    assert contents(staged(tmp_path / "two", {"requirements.txt": line})) == contents(folder)
+
+
+@pytest.mark.parametrize(
+    ("name", "digest", "sentence"),
+    [
+        ("feelings-1.1-py3-none-any.whl", "", "of which no registry has a wheel for Python"),
+        ("feelings-1.0-cp27-none-win32.whl", "", "of which no registry has a wheel for Python"),
+        ("../../feelings-1.0-py3-none-any.whl", "", "of which no registry has a wheel for Python"),
+        ("feelings-1.0-py3-none-any.whl", "0" * 64, "the registry said 0000"),
+    ],
+)
+def test_a_registry_gives_only_what_is_meant(
+    registry: Path, name: str, digest: str, sentence: str, tmp_path: Path
+) -> None:
+    line = publish(registry, wheel_bytes(), name, digest)
+    with pytest.raises(ArchiveRejected, match=sentence):
+        raise rejected(tmp_path, {"requirements.txt": line})
+    assert not list((tmp_path / "cache").rglob("*.whl"))
+    assert not list((tmp_path / "cache").rglob("part-*"))
+
+
+def test_a_registry_that_does_not_answer_or_sends_too_much_is_named(registry: Path, tmp_path: Path) -> None:
+    line = publish(registry, wheel_bytes(files={"feelings/big.bin": bytes(9000)}))
+    for number, (limits, sentence) in enumerate(
+        [(Limits(archive_packed_bytes=100), "larger than 100 bytes"), (None, "could not be asked for feelings")]
+    ):
+        with pytest.raises(ArchiveRejected, match=sentence):
+            raise rejected(tmp_path / str(number), {"requirements.txt": line}, limits)
+        (registry / "index.html").write_text("[1]")
+
+
+def test_the_wheels_used_longest_ago_make_room(registry: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vitac.evaluator.submission.registries._KEPT_BYTES", 0)
+    staged(tmp_path / "one", {"requirements.txt": publish(registry, wheel_bytes())})
+    staged(tmp_path / "two", {"requirements.txt": publish(registry, wheel_bytes(files={"feelings/more.py": b""}))})
+    assert len(list((tmp_path / "cache").rglob("*.whl"))) == 1
 
 
 @pytest.mark.usefixtures("house")
