@@ -40,7 +40,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 STATIONS = ("east", "west")
 TEAMS = ("Ants", "Bees", "Cats", "Controls")
 EXAMPLE = REPOSITORY / "examples" / "peg_insertion_trained"
-OPEN_S, PAUSE_S, FIRST_CONTACT = 60.0, (10.0, 25.0), 3
+OPEN_S, PAUSE_S, FIRST_CONTACT = 60.0, (20.0, 40.0), 2
 CALM_FROM = 0.9
 """Nothing is killed once this part of the trials is over, and everything was killed."""
 TRIALS = "SELECT work.state, count(*) FROM work JOIN shards ON shards.id = work.id GROUP BY work.state"

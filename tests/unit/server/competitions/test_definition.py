@@ -8,7 +8,12 @@ import pytest
 from service_factories import TRACK
 from vitac.evaluator.strict_model import DocumentRejected
 from vitac.evaluator.tracks import ListKind, load_track
-from vitac.server.competitions.definition import CompetitionDefinition, Judging, read_competition
+from vitac.server.competitions.definition import (
+    CompetitionDefinition,
+    Judging,
+    read_competition,
+    require_known_tracks,
+)
 
 from competitions import CLOSES, FIRST, OPENS, SECOND, make_competition, write_competition
 
@@ -226,6 +231,17 @@ def test_the_challenge_of_2024_is_over_and_plays_the_tasks_of_2024(repository: P
     assert [stage.closes.year for track in found.tracks.values() for stage in track.stages] == [2024]
     assert [list(load_track(name).tasks) for name in found.tracks] == [["peg-insertion-2024", "lock-opening-2024"]]
     assert found.public_rankings == {}
+
+
+def test_the_final_of_2025_is_played_on_stations_by_a_plan(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VITAC_TRACKS_DIR", str(repository / "competitions" / "tracks"))
+    found = read_competition(repository / "competitions" / "vitac-2025-final.yaml")
+    require_known_tracks(found, "vitac-2025-final.yaml")
+    stages = [stage for track in found.tracks.values() for stage in track.stages]
+    assert [stage.quotas.attempts for stage in stages] == [3, 3]
+    assert all(stage.plan is not None for stage in stages)
+    tasks = [task for name in found.tracks for task in load_track(name).tasks.values()]
+    assert [len(task.episodes) for task in tasks] == [150, 150]
 
 
 def test_the_challenge_of_2025_is_a_valid_competition(repository: Path) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -22,13 +23,15 @@ from vitac.server.competitions.competition import Competition
 from vitac.server.competitions.definition import CompetitionDefinition, require_known_tracks
 from vitac.server.competitions.sealing import find_secret, reveal
 from vitac.server.competitions.stages import Stage
+from vitac.server.database.clock import read_clock
 from vitac.server.database.engine import Database
 from vitac.server.database.models import Evaluation, Submission, Trial
+from vitac.server.database.states import WorkState
 from vitac.server.decisions.trial_plan import begin, list_trials
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.lifecycle import cancel
 from vitac.server.principals import CONSOLE, Principal
-from vitac.server.queue.work import claim
+from vitac.server.queue.work import claim, sweep
 from vitac.server.views.submissions import SubmissionView
 from vitac.station.description import make_station_track
 from vitac.worker.capabilities import list_abilities
@@ -135,6 +138,29 @@ def test_a_team_sees_its_own_trials_and_everybody_all_once_the_list_is_published
             cancel(session, evaluation)
         reveal(session, CONSOLE, stage)
         assert len(list_trials(session, Principal(role=None), stage)) == STARTS * len(TEAMS)
+
+
+def test_a_station_that_vanishes_for_an_hour_goes_on_where_it_was(
+    database: Database, teams: dict[str, Principal]
+) -> None:
+    with closed(database) as (session, stage):
+        begin(session, CONSOLE, stage)
+    settings = make_settings(lease_s=0.001, lease_renewal_s=0.0001)  # as the database has started long ago
+    taken, others = take(database, "east"), take(database, "west")
+    assert taken is not None
+    assert others is not None
+    with database.transaction() as session:
+        lost = session.get_one(Trial, taken.id)
+        lost.lease_expires_at = read_clock(session) - timedelta(hours=1)
+    with database.transaction() as session:
+        swept = sweep(session, settings, give_up=lambda *_: pytest.fail("nothing is given up"))
+        assert swept.queued_again == 1
+    with database.transaction() as session:
+        waiting = session.get_one(Trial, taken.id)
+        assert (waiting.state, waiting.attempts, waiting.turn) == (WorkState.QUEUED, 0, taken.turn)
+    again = take(database, "east")
+    assert again is not None
+    assert (again.id, again.token) == (taken.id, taken.token + 1)
 
 
 def test_only_one_list_is_played_on_stations(database: Database, teams: dict[str, Principal]) -> None:
