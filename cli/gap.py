@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 from vitac.envs.errors import VitacError
@@ -15,20 +15,28 @@ if TYPE_CHECKING:
     from collections.abc import Hashable
 
     from vitac.evaluator.scoring.gap import Gap, Measured, PlayedTwice
-    from vitac.station.rehearsal import RehearsalReport
+    from vitac.station.rehearsal import RehearsalReport, TrialRecord
+    from vitac.station.touch_gap import TouchGap
 
 
 def command(
     files: Annotated[
         list[Path],
         typer.Argument(
-            help="Two of each policy: its evaluation in simulation (log or file of `vitac evaluate --json`), then its "
-            "trials (file of `vitac evaluate --station ... --json`)."
+            help="Two of each policy: its evaluation in simulation (log or file of `vitac evaluate --json`) or trials "
+            "at a twin of identified settings, then its trials (file of `vitac evaluate --station ... --json`)."
         ),
     ],
+    identified: Annotated[
+        Path | None,
+        typer.Option(help="File of `vitac station identify`: markers and forces also against that simulation."),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show how far success in simulation is from success at a station, with 95 % intervals by start."""
+    """Show how far simulation is from a station, with 95 % intervals: success by start, markers and forces by trial.
+
+    Trials of a twin without one of its differences are no policies of their own: they show which share it explains.
+    """
     from vitac.evaluator.scoring.gap import measure_gap
 
     if len(files) % 2:
@@ -36,12 +44,72 @@ def command(
             f"expected two files of each policy, simulation and station, got {len(files)} files.", param_hint="files"
         )
     starts: dict[int, Hashable] = {}
-    policies = [_played_twice(*pair, starts) for pair in zip(files[::2], files[1::2], strict=True)]
-    gap = measure_gap(policies, starts)
+    pairs = [
+        (_played_twice(*pair, starts), _read_trials(pair[1])) for pair in zip(files[::2], files[1::2], strict=True)
+    ]
+    whole = [(policy, report) for policy, report in pairs if not _without(report)]
+    gap = measure_gap([policy for policy, _ in whole], starts)
+    shares = _measure_shares(pairs, starts)
+    touch = _measure_touch([report for _, report in whole], identified)
+    twins = sorted({f"{report.station} is {report.twin}." for _, report in pairs if report.twin})
     if as_json:
-        print_json(gap.model_dump(mode="json"))
-    else:
-        _print_text(gap)
+        more = {
+            "twins": twins,
+            "shares": {name: share and share.model_dump() for name, share in shares.items()},
+            "touch": {name: each.model_dump() for name, each in touch.items()},
+        }
+        print_json(gap.model_dump(mode="json") | more)
+        return
+    for sentence in twins:
+        print(sentence)
+    _print_text(gap)
+    for name, share in shares.items():
+        print(f"Share of the difference that {name} explains: {_text(share, 100, '%') if share else 'none to explain'}")
+    _print_touch(touch)
+
+
+def _without(report: RehearsalReport) -> tuple[str, ...]:
+    return report.twin.without if report.twin else ()
+
+
+def _measure_shares(
+    pairs: list[tuple[PlayedTwice, RehearsalReport]], starts: dict[int, Hashable]
+) -> dict[str, Measured | None]:
+    """Return by difference which share of the gap it explains, from the policies that were also played without it."""
+    from vitac.evaluator.scoring.gap import measure_share
+
+    whole = {report.submission_digest: policy for policy, report in pairs if not _without(report)}
+    shares = {}
+    for name in dict.fromkeys(_without(report) for _, report in pairs if _without(report)):
+        without = {report.submission_digest: policy for policy, report in pairs if _without(report) == name}
+        both = [digest for digest in without if digest in whole]
+        if both:
+            shares[", ".join(name)] = measure_share(
+                [whole[digest] for digest in both], [without[digest] for digest in both], starts
+            )
+    return shares
+
+
+def _measure_touch(reports: list[RehearsalReport], identified: Path | None) -> dict[str, TouchGap]:
+    """Return the gap of markers and forces to our simulation, and to that with identified settings."""
+    if not any(trial.attempts[-1].regions_px for report in reports for trial in report.trials):
+        return {}
+    from vitac.evaluator.strict_model import read_yaml
+    from vitac.station.identification.station import IdentifiedStation
+    from vitac.station.touch_gap import measure_touch_gap
+    from vitac.station.twin.hidden import PUBLIC_SETTINGS
+
+    settings = {"simulation": PUBLIC_SETTINGS}
+    if identified:
+        settings["identified simulation"] = read_yaml(IdentifiedStation, identified).settings
+    return {name: measure_touch_gap(reports, hidden) for name, hidden in settings.items()}
+
+
+def _print_touch(touch: dict[str, TouchGap]) -> None:
+    for name, gap in touch.items():
+        print(f"\nMarkers and forces against the {name}, along the motions of {gap.trials} trials (root mean square)")
+        rows = [(part, _text(error, 1, "px")) for part, error in gap.markers_px.items()]
+        print_table(("part", "error, 95 % interval"), [*rows, ("force", _text(gap.force_n, 1, "N"))], none="")
 
 
 def _played_twice(simulated: Path, tried: Path, starts: dict[int, Hashable]) -> PlayedTwice:
@@ -52,26 +120,60 @@ def _played_twice(simulated: Path, tried: Path, starts: dict[int, Hashable]) -> 
     """
     from vitac.evaluator.scoring.gap import PlayedTwice
 
-    evaluated, report = read_evaluated(str(simulated)), _read_trials(tried)
-    if evaluated.submission_digest not in (None, report.submission_digest):
+    report = _read_trials(tried)
+    digest, simulation = _read_simulated(simulated, report.task)
+    if digest not in (None, report.submission_digest):
         raise OtherEpisodes(
-            f"Expected one policy in {simulated} and {tried}, got the submissions {evaluated.submission_digest} and "
+            f"Expected one policy in {simulated} and {tried}, got the submissions {digest} and "
             f"{report.submission_digest}."
         )
-    simulation = {end.episode: end for end in evaluated.episodes if end.task == report.task}
     ends = {}
     for trial in report.trials:
         end, start = simulation.get(trial.episode), (trial.shape, tuple(trial.offset))
         if end is None or not trial.outcome.counts:
             continue
         known = starts.setdefault(trial.episode, start)
-        for where, other in ((simulated, (end.shape, tuple(end.initial_offset))), ("another policy's trials", known)):
+        for where, other in ((simulated, end.start), ("another policy's trials", known)):
             if other != start:
                 raise OtherEpisodes(
                     f"Expected episode {trial.episode} of one list, got {start} in {tried} and {other} in {where}."
                 )
         ends[trial.episode] = (end.success, trial.outcome == "success")
     return PlayedTwice(name=report.submission, ends=ends)
+
+
+class _SimulatedEnd(NamedTuple):
+    """How an episode ended in simulation."""
+
+    start: tuple[str, tuple[float, ...]]
+    success: bool
+
+
+def _read_simulated(path: Path, task: str) -> tuple[str | None, dict[int, _SimulatedEnd]]:
+    """Return the submission's digest and the ends of its episodes: of an evaluation, or of trials at another twin."""
+    report = _find_identified_twin(path)
+    if report is not None:
+        counted = [trial for trial in report.trials if trial.outcome.counts]
+        return report.submission_digest, {trial.episode: _end_of_trial(trial) for trial in counted}
+    evaluated = read_evaluated(str(path))
+    return evaluated.submission_digest, {
+        end.episode: _SimulatedEnd((end.shape, tuple(end.initial_offset)), end.success)
+        for end in evaluated.episodes
+        if end.task == task
+    }
+
+
+def _find_identified_twin(path: Path) -> RehearsalReport | None:
+    """Return the trials at a twin of identified settings; None for a file of anything else."""
+    try:
+        report = _read_trials(path)
+    except VitacError:
+        return None
+    return report if report.twin and report.twin.identified else None
+
+
+def _end_of_trial(trial: TrialRecord) -> _SimulatedEnd:
+    return _SimulatedEnd((trial.shape, tuple(trial.offset)), trial.outcome == "success")
 
 
 def _read_trials(path: Path) -> RehearsalReport:

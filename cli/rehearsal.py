@@ -61,6 +61,7 @@ def rehearse_submission(
         report = RehearsalReport.from_trials(
             trials,
             twin=description.twin,
+            hole=tuple(description.procedure.hole.model_dump().values()) if description.procedure else None,
             station=description.name,
             submission=manifest.name,
             submission_digest=submission_digest(submission),

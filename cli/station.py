@@ -90,7 +90,8 @@ def twin(
         raise typer.BadParameter("expected --secret or --identified, got both.", param_hint="--identified")
     drawn = read_secret(secret) if secret else PUBLIC_TWIN
     if identified:
-        drawn = drawn._replace(hidden=read_yaml(IdentifiedStation, identified).settings)
+        hidden = read_yaml(IdentifiedStation, identified).settings
+        drawn = drawn._replace(hidden=hidden, mark=drawn.mark.model_copy(update={"identified": True}))
     bench = Bench(
         hidden=drawn.hidden,
         mark=drawn.mark,

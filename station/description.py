@@ -42,10 +42,13 @@ class TwinMark(StrictModel):
     twin_class: TwinClass
     without: tuple[Word, ...] = ()
     """Differences of class B that were switched off."""
+    identified: bool = False
+    """Whether it has the settings that another station was identified with, and so stands for our simulation."""
 
     def __str__(self) -> str:
         off = f" without {', '.join(self.without)}" if self.without else ""
-        return f"a twin of class {self.twin_class}{off}, no hardware"
+        source = " of identified settings" if self.identified else ""
+        return f"a twin of class {self.twin_class}{source}{off}, no hardware"
 
 
 class TactileCalibration(Calibration):

@@ -40,6 +40,11 @@ def pack_actions(attempt: Attempt) -> NDArray[np.float32]:
     return np.array(attempt.actions, dtype=np.float32).reshape(len(attempt.actions), attempt.action_numbers)
 
 
+def _rounded(values: NDArray[np.float64]) -> Any:
+    """Return arrays as tuples, to a thousandth."""
+    return tuple(map(_rounded, values)) if values.ndim > 1 else tuple(values.round(3).tolist())
+
+
 class AttemptRecord(StrictModel):
     """One attempt at a trial; `encoders` and `movement_px` have an entry after the start and after each env step."""
 
@@ -50,6 +55,10 @@ class AttemptRecord(StrictModel):
     """Pose of the stage: x, y, z [mm], rotation [deg]."""
     movement_px: tuple[Pair, ...] = ()
     """Mean movement of the markers of the left and the right gel."""
+    regions_px: tuple[tuple[tuple[Pair, ...], ...], ...] = ()
+    """Of the same in nine regions of the picture, by rows: left, then right."""
+    wrenches: tuple[tuple[float, float, float, float, float, float], ...] = ()
+    """Of the force/torque sensor over free air [N, N m]."""
     thresholds_px: Pair
     """Movement of both gels that is more than noise."""
     policy_s: NonNegativeFloat
@@ -64,6 +73,8 @@ class AttemptRecord(StrictModel):
             actions=ActionSequence.from_array(pack_actions(attempt)),
             encoders=tuple(attempt.encoders),
             movement_px=tuple(attempt.movement_px),
+            regions_px=tuple(_rounded(each) for each in attempt.regions_px),
+            wrenches=tuple(_rounded(each) for each in attempt.wrenches),
             thresholds_px=attempt.thresholds_px,
             policy_s=attempt.policy_s,
             output=attempt.output,
@@ -108,6 +119,8 @@ class RehearsalReport(StrictModel):
     station: Word
     twin: TwinMark | None = None
     """Where the station is a twin."""
+    hole: tuple[float, float, float, float] | None = None
+    """Pose of the stage at the hole, from the station's file: x, y, z [mm], rotation [deg]."""
     submission: str
     submission_digest: str
     track: Word

@@ -23,7 +23,7 @@ from .eyes import OpenStation, SensorReading
 from .guard import LARGEST_RADIUS_MM, LARGEST_THETA_DEG, LimitPassed, StationStopped
 from .operators import Decision, Operator
 from .outcome import TrialOutcome
-from .perception.observation import NoMarkerFollowed, marker_flow
+from .perception.observation import NoMarkerFollowed, marker_flow, mean_by_region
 from .perception.segmentation import NothingAtPrompt, SamMissing
 from .preflight import PreflightRefused, check_held, check_ready
 from .video import VideoRecorder
@@ -59,6 +59,8 @@ class Attempt:
         actions: that the policy gave.
         encoders: pose of the stage at the start and after each env step: x, y, z [mm], rotation [deg].
         movement_px: mean movement of the markers of both gels at those times.
+        regions_px: mean movement of the markers in nine regions of both gels at those times, shape [2, 9, 2] each.
+        wrenches: of the force/torque sensor at those times, over free air [N, N m].
         thresholds_px: movement of both gels that is more than noise.
         failure: of the policy.
         output: what the policy printed.
@@ -75,6 +77,8 @@ class Attempt:
     actions: list[NDArray[np.float32]] = field(default_factory=list)
     encoders: list[Pose] = field(default_factory=list)
     movement_px: list[Pair] = field(default_factory=list)
+    regions_px: list[NDArray[np.float64]] = field(default_factory=list)
+    wrenches: list[NDArray[np.float64]] = field(default_factory=list)
     thresholds_px: Pair = (0.0, 0.0)
     failure: PolicyFailed | None = None
     output: str = ""
@@ -123,6 +127,7 @@ class Trial:
         self._generator = np.random.default_rng((episode.list_seed, episode.number))
         self._z_step_mm = station.procedure.z_step_mm
         self._attempt = Attempt()
+        self._free_wrench = np.zeros(6)
 
     def _find_start(self, episode: Episode) -> Offset:
         """Return where the peg stands at the start: x and y [mm] from the place in the file, angle [deg]."""
@@ -216,6 +221,7 @@ class Trial:
         station.eyes.start_again()
         arm.settle(_PAUSE_S)
         check_held(station)
+        self._free_wrench = self._wrench()
 
     def _go_beside(self) -> None:
         """Go over the start, first at the safe height where the stage is not near the hole."""
@@ -282,9 +288,15 @@ class Trial:
         sight = self._arm.settle()
         self._attempt.encoders.append(self._arm.pose())
         self._attempt.movement_px.append(sight.movement_px())
+        self._attempt.regions_px.append(np.stack([mean_by_region(sight.left), mean_by_region(sight.right)]))
+        self._attempt.wrenches.append(self._wrench() - self._free_wrench)
         if self._recorder is not None:
             self._attempt.marks.append(self._recorder.mark())
         return sight
+
+    def _wrench(self) -> NDArray[np.float64]:
+        wrench = self._station.guard.wrench()
+        return np.zeros(6) if wrench is None else np.array(wrench)
 
     def _observe(self, sight: SensorReading) -> dict[str, NDArray[Any]]:
         """Return what the policy reads: markers as in simulation, motion from the stage's encoders."""

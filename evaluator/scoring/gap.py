@@ -89,11 +89,7 @@ def measure_gap(policies: Sequence[PlayedTwice], starts: Mapping[int, Hashable])
     for policy in policies:
         if not policy.ends:
             raise NoGap(f"Expected episodes of {policy.name} that simulation and station have both played, got none.")
-    rows = {start: row for row, start in enumerate(dict.fromkeys(starts.values()))}
-    tallies = np.zeros((len(rows), len(policies), 4))
-    for column, policy in enumerate(policies):
-        for episode, (simulated, tried) in policy.ends.items():
-            tallies[rows[starts[episode]], column] += (1, simulated, tried, simulated == tried)
+    tallies = _tally(policies, starts)
     several = len(policies) > 1
     return Gap(
         policies=tuple(_policy_gap(policy, starts) for policy in policies),
@@ -102,6 +98,36 @@ def measure_gap(policies: Sequence[PlayedTwice], starts: Mapping[int, Hashable])
         pearson=_measured(pearson, tallies) if several and not np.isnan(pearson(tallies.sum(axis=0))) else None,
         mean_maximum_rank_violation=_measured(mean_maximum_rank_violation, tallies) if several else None,
     )
+
+
+def measure_share(
+    whole: Sequence[PlayedTwice], without: Sequence[PlayedTwice], starts: Mapping[int, Hashable]
+) -> Measured | None:
+    """Return which share of the difference of success goes away with one difference of a station; None without any.
+
+    Args:
+        whole: policies in simulation and at the station.
+        without: the same, where the station lacks the difference.
+        starts: of every episode.
+    """
+    count, tallies = len(whole), _tally((*whole, *without), starts)
+
+    def share(tally: FloatArray) -> FloatArray:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            left, all_ = mean_difference(tally[..., count:, :]), mean_difference(tally[..., :count, :])
+            return np.asarray(np.where(all_ == 0.0, np.nan, 1.0 - np.abs(left) / np.abs(all_)))
+
+    return None if np.isnan(share(tallies.sum(axis=0))) else _measured(share, tallies)
+
+
+def _tally(policies: Sequence[PlayedTwice], starts: Mapping[int, Hashable]) -> "FloatArray":
+    """Return tallies by start and policy, shape [s, p, 4]."""
+    rows = {start: row for row, start in enumerate(dict.fromkeys(starts.values()))}
+    tallies = np.zeros((len(rows), len(policies), 4))
+    for column, policy in enumerate(policies):
+        for episode, (simulated, tried) in policy.ends.items():
+            tallies[rows[starts[episode]], column] += (1, simulated, tried, simulated == tried)
+    return tallies
 
 
 FloatArray = NDArray[np.float64]

@@ -18,6 +18,8 @@ from .stage import DeviceFault, DeviceNotFound, Identity
 
 WIDTH, HEIGHT, RATE_HZ = 640, 480, 30
 _ANSWER_MS: Final = 2000
+_STREAM_MS: Final = 8000
+"""Longest wait for a picture of a stream; a twin on a busy machine may compute a grasp meanwhile."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -269,7 +271,7 @@ def _short_buffer() -> Iterator[None]:
 def _open(address: str, name: str) -> Any:
     import cv2
 
-    options = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _ANSWER_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _ANSWER_MS]
+    options = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _ANSWER_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _STREAM_MS]
     if address.startswith("/dev/"):
         capture = cv2.VideoCapture(address, cv2.CAP_V4L2)
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # the newest picture rather than an old one

@@ -1,7 +1,7 @@
 """Frictions, gel, grasp and places of a station: those with which our simulation of the probes shows what was recorded.
 
-Gauss and Newton's method from what a station is built to be, whose spread counts as one more measurement of each
-number: what no probe shows keeps its spread.
+Gauss and Newton's method, damped and with Huber's weights, from what a station is built to be, whose spread counts as
+one more measurement of each number: what no probe shows keeps its spread.
 """
 
 from collections.abc import Callable
@@ -26,7 +26,11 @@ FloatArray = NDArray[np.float64]
 _SEEN_SPREAD: Final = 0.5
 """A number is seen whose spread the probes have more than halved."""
 _ITERATIONS: Final = 4
-_HALVINGS: Final = 2
+_DAMPINGS: Final = (0.0, 3.0, 30.0, 300.0)
+"""Of the moves that are tried one after the other (Levenberg and Marquardt)."""
+_ROBUST: Final = 3.0
+"""From so many deviations of noise on a difference counts in proportion to its size alone: a structure that our
+simulation lacks is not to outweigh the rest."""
 _STEP: Final = 0.15
 """Of a number in its spread, for the slopes."""
 _FARTHEST: Final = 3.0
@@ -85,6 +89,11 @@ class FittedMechanics(NamedTuple):
     hidden: HiddenSettings
     estimates: dict[str, Estimate]
     misfit: float
+
+
+def _cost(left: FloatArray) -> float:
+    """Return the pseudo-Huber cost of differences."""
+    return float((np.sqrt(1.0 + (left / _ROBUST) ** 2) - 1.0).sum())
 
 
 class _Replay:
@@ -193,16 +202,19 @@ def fit_mechanics(
     left = left_over(z)
     for iteration in range(_ITERATIONS):
         slopes = np.array([(left_over(z + move) - left) / _STEP for move in _STEP * np.eye(len(z))]).T
-        move = np.linalg.lstsq(slopes, -left, rcond=None)[0]
-        for halving in range(_HALVINGS + 1):
-            nearer = np.clip(z + 0.5**halving * move, -_FARTHEST, _FARTHEST)
+        weights = (1.0 + (left / _ROBUST) ** 2) ** -0.25
+        weighted = slopes * weights[:, None]
+        curvature, fall = weighted.T @ weighted, -weighted.T @ (left * weights)
+        for damping in _DAMPINGS:
+            move = np.linalg.solve(curvature + damping * np.eye(len(z)), fall)
+            nearer = np.clip(z + move, -_FARTHEST, _FARTHEST)
             then = left_over(nearer)
-            if then @ then < left @ left:
+            if _cost(then) < _cost(left):
                 z, left = nearer, then
                 break
         misfit = float(np.sqrt(np.mean(left[: len(replay.observed)] ** 2)))
         show(iteration, misfit)
-    deviations = max(1.0, misfit) * np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)))
+    deviations = max(1.0, misfit) * np.sqrt(np.diag(np.linalg.inv(curvature)))
     estimates = {
         number.name: Estimate(
             number.at(each),

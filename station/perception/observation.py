@@ -37,6 +37,25 @@ def _rows(side: str, flow: MarkerFlow, generator: np.random.Generator) -> NDArra
     return np.stack((flow.reference[rows], flow.current[rows])).astype(np.float32)
 
 
+_REGIONS: Final = 3
+_REGION_PX: Final = (320.0 / _REGIONS, 240.0 / _REGIONS)
+MIDDLE_REGION: Final = 4
+"""Number of the region in the middle of the picture."""
+
+
+def mean_by_region(flow: MarkerFlow) -> NDArray[np.float64]:
+    """Return the mean movement of the markers in nine equal parts of the picture, by rows, shape [9, 2] [pixel].
+
+    A part without markers has the mean of all of them.
+    """
+    movement = flow.current - flow.reference
+    column, row = np.clip((flow.reference / _REGION_PX).astype(int), 0, _REGIONS - 1).T
+    whole = movement.mean(axis=0) if len(movement) else np.zeros(2)
+    number = _REGIONS * row + column
+    means = [movement[number == each].mean(axis=0) if (number == each).any() else whole for each in range(_REGIONS**2)]
+    return np.array(means)
+
+
 Cells = NDArray[np.float32]
 
 DAMAGED_PART: Final = 0.05

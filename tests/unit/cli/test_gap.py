@@ -79,3 +79,33 @@ def test_files_of_other_policies_lists_and_kinds_are_refused(
     ):
         got, _, err = run(capsys, *files)
         assert (got, message in " ".join(err.replace("│", " ").split())) == (code, True), err
+
+
+def test_a_twin_is_named_and_what_it_lacks_explains_a_share(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def at_twin(name: str, solved: set[int], *without: str) -> Path:
+        outcomes = {n: TrialOutcome.SUCCESS if n in solved else TrialOutcome.STEPS for n in range(1, 5)}
+        file = tried(tmp_path / name, outcomes)
+        content = json.loads(file.read_text()) | {"twin": {"twin_class": "B", "without": without}}
+        file.write_text(json.dumps(content))
+        return file
+
+    log = simulated(tmp_path / "a.jsonl", {1, 2, 3, 4})
+    whole, mesh, tilt = at_twin("w.json", {1}), at_twin("m.json", {1, 2, 3, 4}, "mesh"), at_twin("t.json", {1}, "tilt")
+    code, out, _ = run(capsys, log, whole, log, mesh, log, tilt, "--json")
+    gap = json.loads(out)
+    assert code == 0
+    assert len(gap["policies"]) == 1  # the twin as it is
+    assert gap["difference"]["value"] == pytest.approx(0.75)
+    assert {name: share["value"] for name, share in gap["shares"].items()} == pytest.approx({"mesh": 1.0, "tilt": 0.0})
+    assert "bench is a twin of class B, no hardware." in gap["twins"]
+    assert "bench is a twin of class B without mesh, no hardware." in gap["twins"]
+
+
+def test_trials_at_a_twin_of_identified_settings_stand_for_simulation(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    trials = tried(tmp_path / "a.json", TRIALS)
+    twin = tmp_path / "identified.json"
+    twin.write_text(json.dumps(json.loads(trials.read_text()) | {"twin": {"twin_class": "A", "identified": True}}))
+    code, out, _ = run(capsys, twin, trials, "--json")
+    assert (code, json.loads(out)["agreement"]["value"]) == (0, 1.0)

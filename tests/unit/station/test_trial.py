@@ -15,9 +15,11 @@ from vitac.evaluator.tracks import Episode, load_track
 from vitac.station.description import StationDescription
 from vitac.station.eyes import NoProcedure, OpenStation, open_station
 from vitac.station.outcome import TrialOutcome
+from vitac.station.rehearsal import RehearsalReport, TrialRecord
+from vitac.station.touch_gap import measure_touch_gap
 from vitac.station.trial import Attempt, Trial
 from vitac.station.twin.bench import HOLE
-from vitac.station.twin.hidden import HiddenSettings, TwinFault
+from vitac.station.twin.hidden import PUBLIC_SETTINGS, HiddenSettings, TwinFault
 from vitac.station.twin.laboratory import RunningTwin, TwinStation, twin_process
 
 TASK = load_track("track_1").tasks["peg-insertion"]
@@ -154,3 +156,21 @@ def test_station_without_a_procedure_cannot_play(twins: TwinStation) -> None:
         open_station(validate(StationDescription, described, "station.yaml")),
     ):
         pass
+
+
+@pytest.mark.slow
+def test_markers_and_forces_of_a_trial_are_those_of_our_simulation_of_its_motion(play: Play) -> None:
+    attempt, _ = play(nowhere)
+    assert attempt.outcome.counts, attempt.reason
+    episode = Episode(number=1, shape="cuboid", offset=START, offset_option="offset_mm_deg", list_seed=0)
+    record = TrialRecord.from_attempts(episode, [attempt])
+    names = {"station": "twin", "submission": "s", "submission_digest": "d", "track": "t", "task": "p"}
+    report = RehearsalReport.from_trials([record], hole=HOLE, **names)
+    same, softer = (
+        measure_touch_gap([report], PUBLIC_SETTINGS.model_copy(update={"youngs_modulus_pa": modulus_pa}))
+        for modulus_pa in (3e5, 1.5e5)
+    )
+    assert same.markers_px["all"].value < 1.0
+    assert same.force_n.value < 0.5 * softer.force_n.value
+    by_frequency = sum(same.markers_px[part].value ** 2 for part in ("trial mean", "slow", "fast"))
+    assert by_frequency == pytest.approx(same.markers_px["all"].value ** 2)
