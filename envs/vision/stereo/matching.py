@@ -31,7 +31,12 @@ _SMALL_JUMP = np.int16(METHOD.small_jump * _BLOCK_PIXELS)
 _LARGE_JUMP = np.int16(METHOD.large_jump * _BLOCK_PIXELS)
 # Larger than any path's cost; with a jump added it still is an int16.
 _FAR = np.int16(16000)
-_PATHS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))[: METHOD.paths]
+# Paths come from one side of a pixel, then from the other: from beside, above, and both diagonals.
+_PATHS_OF_SIDE = 4
+_SIDES = (1, -1)[: METHOD.paths // _PATHS_OF_SIDE]
+# A cost and its match in one number, whose order is that of costs, then of matches.
+_KEYS = np.int32(64)
+_NO_KEY, _NO_COST = np.int32(2**31 - 1), np.int16(2**15 - 1)
 _UNIQUENESS_PERCENT = METHOD.uniqueness_percent
 _LARGEST_LEFT_RIGHT_DIFFERENCE = METHOD.largest_left_right_difference_px
 
@@ -48,16 +53,14 @@ def disparities(left: Picture, right: Picture) -> NDArray[np.int32]:
     left_codes, right_codes = np.zeros(left.shape, np.uint64), np.zeros(right.shape, np.uint64)
     _census(left, left_codes)
     _census(right, right_codes)
-    costs, blocks = (np.zeros((height, width, MATCHES), np.int16) for _ in range(2))
+    costs, blocks, totals = (np.zeros((height, width, MATCHES), np.int16) for _ in range(3))
     _compare(left_codes, right_codes, costs)
-    _sum_blocks(costs, blocks)
-    totals = np.zeros((height, width, MATCHES), np.int16)
-    lines = np.zeros((2, width + 2, MATCHES + 2), np.int16)
-    for row_step, column_step in _PATHS:
-        _add_path(blocks, lines, totals, row_step, column_step)
-    best_of_right = np.zeros((height, width + MATCHES - 1), np.int32)
+    _sum_blocks(costs, np.zeros((width + 1, MATCHES), np.int16), blocks)
+    lines = np.zeros((_PATHS_OF_SIDE, 2, width + 2, MATCHES + 2), np.int16)
+    for side in _SIDES:
+        _add_paths(blocks, lines, totals, side)
     found = np.zeros(left.shape, np.int32)
-    _choose(totals, best_of_right, found)
+    _choose(totals, np.empty(width + MATCHES - 1, np.int32), found)
     return found
 
 
@@ -74,14 +77,15 @@ def _census(picture: Picture, codes: Codes) -> None:
     """Set a bit for every neighbour that is darker than its pixel; neighbours beyond the picture set none."""
     height, width = picture.shape
     r = _CENSUS_RADIUS
-    for dj in range(-r, r + 1):
-        for di in range(-r, r + 1):
-            if dj == 0 and di == 0:
-                continue
-            for j in range(max(0, -dj), min(height, height - dj)):
-                for i in range(max(0, -di), min(width, width - di)):
-                    darker = np.uint64(picture[j + dj, i + di] < picture[j, i])
-                    codes[j, i] = (codes[j, i] << np.uint64(1)) | darker
+    for j in range(height):
+        for dj in range(max(-r, -j), min(r, height - 1 - j) + 1):
+            for di in range(-r, r + 1):
+                if dj == 0 and di == 0:
+                    continue
+                first, last = max(0, -di), min(width, width - di)
+                other, own, code = picture[j + dj, first + di : last + di], picture[j, first:last], codes[j, first:last]
+                for i in range(len(code)):
+                    code[i] = (code[i] << np.uint64(1)) | np.uint64(other[i] < own[i])
 
 
 @large_kernel
@@ -95,100 +99,100 @@ def _compare(left: Codes, right: Codes, costs: Costs) -> None:
 
 
 @large_kernel
-def _sum_blocks(costs: Costs, blocks: Costs) -> None:
-    """Sum the costs over the block around every pixel; first along columns, into `blocks`, then along rows."""
+def _sum_blocks(costs: Costs, sums: Costs, blocks: Costs) -> None:
+    """Sum the costs over the block around every pixel; what enters a block is added, what leaves it taken away.
+
+    `sums`, zeros at first, holds those over the block's rows for each column, and in its last row those over the block.
+    """
     height, width, matches = costs.shape
-    r = _BLOCK_RADIUS
+    r, block = _BLOCK_RADIUS, sums[width]
     for j in range(height):
-        for k in range(max(0, j - r), min(height, j + r + 1)):
+        for k in range(0 if j == 0 else j + r, min(height, j + r + 1)):
             for i in range(width):
                 for e in range(matches):
-                    blocks[j, i, e] += costs[k, i, e]
-    for j in range(height):
-        for i in range(width):
-            for e in range(matches):
-                costs[j, i, e] = blocks[j, i, e]
-                blocks[j, i, e] = 0
-        for i in range(width):
-            for k in range(max(0, i - r), min(width, i + r + 1)):
+                    sums[i, e] += costs[k, i, e]
+        if j > r:
+            for i in range(width):
                 for e in range(matches):
-                    blocks[j, i, e] += costs[j, k, e]
+                    sums[i, e] -= costs[j - r - 1, i, e]
+        block[:] = 0
+        for i in range(width):
+            for k in range(0 if i == 0 else i + r, min(width, i + r + 1)):
+                for e in range(matches):
+                    block[e] += sums[k, e]
+            if i > r:
+                for e in range(matches):
+                    block[e] -= sums[i - r - 1, e]
+            for e in range(matches):
+                blocks[j, i, e] = block[e]
 
 
 @large_kernel
-def _add_path(costs: Costs, lines: Costs, totals: Costs, row_step: int, column_step: int) -> None:
-    """Add to the totals the costs of the cheapest paths that reach each pixel in one direction (eq. 13).
+def _add_paths(costs: Costs, lines: Costs, totals: Costs, side: int) -> None:
+    """Add to the totals the costs of the cheapest paths that reach each pixel from one side (eq. 13).
 
-    `lines` holds the path costs of the row before and of this one, with a border of columns that cost nothing.
+    `lines` holds the path costs of the row before and of this one, with a border of columns that cost nothing. All
+    paths of a side are followed at once, since reading the costs takes longer than following.
     """
     height, width, matches = costs.shape
-    lines[:, :, :] = 0
-    lines[:, 1 : width + 1, 0] = _FAR
-    lines[:, 1 : width + 1, matches + 1] = _FAR
+    lines[:, :, :, :] = 0
+    lines[:, :, 1 : width + 1, 0] = _FAR
+    lines[:, :, 1 : width + 1, matches + 1] = _FAR
     for jj in range(height):
-        j = jj if row_step >= 0 else height - 1 - jj
+        j = jj if side > 0 else height - 1 - jj
         now = jj % 2
-        before = now if row_step == 0 else 1 - now
         for ii in range(width):
-            i = ii if column_step >= 0 else width - 1 - ii
-            p = i + 1 - column_step
-            smallest = _FAR
-            for e in range(1, matches + 1):
-                smallest = min(smallest, lines[before, p, e])
-            jump = np.int16(smallest + _LARGE_JUMP)
-            for e in range(matches):
-                cheapest = min(lines[before, p, e + 1], jump)
-                cheapest = min(cheapest, np.int16(lines[before, p, e] + _SMALL_JUMP))
-                cheapest = min(cheapest, np.int16(lines[before, p, e + 2] + _SMALL_JUMP))
-                cost = np.int16(np.int16(costs[j, i, e] + cheapest) - smallest)
-                lines[now, i + 1, e + 1] = cost
-                totals[j, i, e] = np.int16(totals[j, i, e] + cost)
+            i = ii if side > 0 else width - 1 - ii
+            for path in range(_PATHS_OF_SIDE):
+                before, step = (now, side) if path == 0 else (1 - now, (path - 2) * side)
+                line, here = lines[path, before, i + 1 - step], lines[path, now, i + 1]
+                smallest = _FAR
+                for e in range(1, matches + 1):
+                    smallest = min(smallest, line[e])
+                jump = np.int16(smallest + _LARGE_JUMP)
+                for e in range(matches):
+                    cheapest = min(line[e + 1], jump)
+                    cheapest = min(cheapest, np.int16(line[e] + _SMALL_JUMP))
+                    cheapest = min(cheapest, np.int16(line[e + 2] + _SMALL_JUMP))
+                    cost = np.int16(np.int16(costs[j, i, e] + cheapest) - smallest)
+                    here[e + 1] = cost
+                    totals[j, i, e] = np.int16(totals[j, i, e] + cost)
 
 
 @large_kernel
 def _choose(totals: Costs, best_of_right: NDArray[np.int32], found: NDArray[np.int32]) -> None:
-    """Take the cheapest match of every pixel that is unique and that the right pixel answers."""
+    """Take the cheapest match of every pixel that is unique and that the right pixel answers, the first of equals."""
     height, width, matches = totals.shape
     for j in range(height):
-        for i in range(width + matches - 1):
-            best_of_right[j, i] = _cheapest_of_right(totals, j, i)
+        best_of_right[:] = _NO_KEY
         for i in range(width):
-            best = _cheapest(totals, j, i)
+            for e in range(matches):
+                best_of_right[i + e] = min(best_of_right[i + e], _key(totals[j, i, e], e))
+        for i in range(width):
+            cheapest = _NO_KEY
+            for e in range(matches):
+                cheapest = min(cheapest, _key(totals[j, i, e], e))
+            best = int(cheapest % _KEYS)
             inside = 0 < best < matches - 1
-            answered = abs(best_of_right[j, i + best] - best) <= _LARGEST_LEFT_RIGHT_DIFFERENCE
-            if inside and answered and _is_unique(totals, j, i, best):
+            answered = abs(best_of_right[i + best] % _KEYS - best) <= _LARGEST_LEFT_RIGHT_DIFFERENCE
+            if inside and answered and _is_unique(totals[j, i], best):
                 found[j, i] = (LARGEST_DISPARITY - best) * PARTS - _fraction(totals, j, i, best)
 
 
 @kernel
-def _cheapest(totals: Costs, j: int, i: int) -> int:
-    """Match of least cost of a pixel of the left picture, the first of equals."""
-    best, cost = 0, totals[j, i, 0]
-    for e in range(1, totals.shape[2]):
-        if totals[j, i, e] < cost:
-            best, cost = e, totals[j, i, e]
-    return best
+def _key(cost: np.int16, match: int) -> np.int32:
+    return np.int32(_KEYS * cost + match)
 
 
 @kernel
-def _cheapest_of_right(totals: Costs, j: int, i: int) -> int:
-    """Match of least cost of a pixel of the right picture, the first of equals: its left pixels lie at i - e."""
-    first: int = max(0, i - totals.shape[1] + 1)
-    best, cost = first, totals[j, i - first, first]
-    for e in range(first + 1, min(totals.shape[2], i + 1)):
-        if totals[j, i - e, e] < cost:
-            best, cost = e, totals[j, i - e, e]
-    return best
-
-
-@kernel
-def _is_unique(totals: Costs, j: int, i: int, best: int) -> bool:
+def _is_unique(costs: NDArray[np.int16], best: int) -> bool:
     """Return whether all matches but the best one's neighbours cost clearly more."""
-    limit = int(totals[j, i, best]) * 100
-    for e in range(totals.shape[2]):
-        if abs(e - best) > 1 and int(totals[j, i, e]) * (100 - _UNIQUENESS_PERCENT) < limit:
-            return False
-    return True
+    smallest = _NO_COST
+    for e in range(best - 1):
+        smallest = min(smallest, costs[e])
+    for e in range(best + 2, len(costs)):
+        smallest = min(smallest, costs[e])
+    return int(smallest) * (100 - _UNIQUENESS_PERCENT) >= int(costs[best]) * 100
 
 
 @kernel

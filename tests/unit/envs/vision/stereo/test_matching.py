@@ -77,7 +77,7 @@ def test_costs_count_the_bits_that_differ() -> None:
 def test_block_costs_are_sums_over_seven_by_seven_pixels_inside_the_picture() -> None:
     costs = np.random.default_rng(2).integers(0, 49, (11, 13, 3)).astype(np.int16)
     blocks = np.zeros_like(costs)
-    matching._sum_blocks(costs.copy(), blocks)
+    matching._sum_blocks(costs, np.zeros((14, 3), np.int16), blocks)
     for j in range(11):
         for i in range(13):
             window = costs[max(0, j - 3) : j + 4, max(0, i - 3) : i + 4]
@@ -101,28 +101,25 @@ def path_costs(costs: NDArray[np.int64], row_step: int, column_step: int) -> NDA
     return paths
 
 
-@pytest.mark.parametrize("step", matching._PATHS)
+PATHS = {side: [(0, side), (side, -side), (side, 0), (side, side)] for side in (1, -1)}
+
+
+@pytest.mark.parametrize("side", PATHS)
 @pytest.mark.parametrize("costs_are", ["small", "extreme"])
-def test_path_costs_are_those_of_the_paper(step: tuple[int, int], costs_are: str) -> None:
+def test_path_costs_are_those_of_the_paper(side: int, costs_are: str) -> None:
     random = np.random.default_rng(5)
     shape = (9, 12, MATCHES)
     costs = (
         random.integers(0, 2000, shape) if costs_are == "small" else random.integers(0, 2, shape) * LARGEST_BLOCK_COST
     )
-    totals, lines = np.zeros(shape, np.int16), np.ones((2, 14, MATCHES + 2), np.int16)
-    matching._add_path(costs.astype(np.int16), lines, totals, *step)
-    np.testing.assert_array_equal(totals, path_costs(costs, *step))
+    totals, lines = np.zeros(shape, np.int16), np.ones((4, 2, 14, MATCHES + 2), np.int16)
+    matching._add_paths(costs.astype(np.int16), lines, totals, side)
+    np.testing.assert_array_equal(totals, sum(path_costs(costs, *step) for step in PATHS[side]))
 
 
 def test_eight_paths_of_the_largest_costs_fit_their_numbers() -> None:
-    shape = (9, 12, MATCHES)
-    costs = np.random.default_rng(6).integers(0, 2, shape) * LARGEST_BLOCK_COST
-    totals, lines = np.zeros(shape, np.int16), np.zeros((2, 14, MATCHES + 2), np.int16)
-    for step in matching._PATHS:
-        matching._add_path(costs.astype(np.int16), lines, totals, *step)
-    expected = sum(path_costs(costs, *step) for step in matching._PATHS)
-    np.testing.assert_array_equal(totals, expected)
-    assert (LARGEST_BLOCK_COST + 32 * 49) * len(matching._PATHS) < 2**15
+    assert tuple(PATHS) == matching._SIDES
+    assert (LARGEST_BLOCK_COST + 32 * 49) * sum(map(len, PATHS.values())) < 2**15
 
 
 @pytest.mark.parametrize("disparity", [50, 63, 82, 94])
