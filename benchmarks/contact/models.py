@@ -1,6 +1,6 @@
 """Plays policies under both contact models: success by shape, what is lost, forces, and how the marker flow differs.
 
-Usage: python benchmarks/contact/models.py [POLICY ...] [--every 6]
+Usage: python benchmarks/contact/models.py [POLICY ...] [--every 6] [--picture PNG]
 
 POLICY is the name of an example, by default each of them; all were made under challenge-2025. Or it is TASK=FOLDER,
 with a `policy.py` in the folder. It runs in this process, so play only what you trust. Of the task's public list every
@@ -128,8 +128,47 @@ def print_flows(old: list[Played], new: list[Played]) -> None:
         print(f"marker flow after {when}: {moved:.2f} pixels, differs by {changed:.2f} between the models (both RMS)")
 
 
-def compare_models(name: str, every: int) -> None:
-    """Play an example under both models and print."""
+@dataclass(frozen=True, kw_only=True)
+class Bar:
+    """What is drawn of an example under one model: success with its interval [%], and the force on a gel [N]."""
+
+    success: float
+    low: float
+    high: float
+    force_n: float
+
+
+def draw(bars: dict[str, dict[str, Bar]], path: Path) -> None:
+    """Draw success and forces of examples, bars for each model side by side."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 3), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for number, model in enumerate(ContactModel):
+        shown = [of_example[str(model)] for of_example in bars.values()]
+        places = np.arange(len(shown)) + 0.4 * number - 0.2
+        ends = [bar.success - bar.low for bar in shown], [bar.high - bar.success for bar in shown]
+        left.bar(places, [bar.success for bar in shown], 0.38, yerr=ends, capsize=3, label=str(model))
+        right.bar(places, [bar.force_n for bar in shown], 0.38, label=str(model))
+    left.set(ylabel="success on the public list [%]", ylim=(0, 105))
+    right.set(ylabel="largest force on a gel [N], median")
+    for axis in (left, right):
+        axis.set_xticks(range(len(bars)), [name.replace("_", "\n") for name in bars], fontsize=7)
+    left.legend(fontsize=7)
+    figure.savefig(path, dpi=110)
+
+
+def measure_bar(episodes: list[Played]) -> Bar:
+    """Return what is drawn of the episodes under one model."""
+    rate = rate_by_start((played.start, played.success) for played in episodes)
+    force_n = float(np.median([max(played.gel_forces_n) for played in episodes]))
+    return Bar(
+        success=100 * rate.success_rate, low=100 * rate.interval.low, high=100 * rate.interval.high, force_n=force_n
+    )
+
+
+def compare_models(name: str, every: int) -> dict[str, Bar]:
+    """Play an example under both models, print, and return what is drawn of it."""
     task_name, folder = find_policy(name)
     _, task = find_task(task_name)
     policy, runs = read_policy(folder), []
@@ -141,6 +180,7 @@ def compare_models(name: str, every: int) -> None:
         print_rates(str(model), runs[-1])
     print_loss(*runs)
     print_flows(*runs)
+    return {str(model): measure_bar(episodes) for model, episodes in zip(ContactModel, runs, strict=True)}
 
 
 def seen_keys(folder: Path, task: Task) -> tuple[str, ...]:
@@ -154,9 +194,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("policies", nargs="*", metavar="POLICY", help=", ".join(POLICIES))
     parser.add_argument("--every", type=int, default=6)
+    parser.add_argument("--picture", type=Path, metavar="PNG", help="draw success and forces; needs Matplotlib")
     arguments = parser.parse_args()
-    for name in arguments.policies or POLICIES:
-        compare_models(name, arguments.every)
+    bars = {name: compare_models(name, arguments.every) for name in arguments.policies or POLICIES}
+    if arguments.picture:
+        draw(bars, arguments.picture)
 
 
 if __name__ == "__main__":
