@@ -12,7 +12,7 @@ from vitac.envs.fem.contact.barrier import barrier
 from vitac.envs.fem.contact.forces import pair_forces
 from vitac.envs.fem.model.mesh import RigidBody, SurfaceMesh
 from vitac.envs.fem.model.settings import ArenaContactSettings
-from vitac.envs.fem.solver.iterate import remember_step
+from vitac.envs.fem.solver.iterate import find_contacts, remember_step
 
 FloatArray = NDArray[np.float64]
 # Half the width of a plate [m].
@@ -140,7 +140,8 @@ def work_of_cycle_j(rng: np.random.Generator, friction: float) -> tuple[float, f
         scene._x[rows] = home + there
         on_block_n = pair_forces(scene._model, scene._x, x_start, memory).forces_n.sum(axis=0)
         work_j += float(on_block_n[:2] @ (there - here)[:2])
-        remembered = remember_step(scene._model, scene._x, x_start, memory)
+        near = find_contacts(scene._model, scene._x)
+        remembered = remember_step(scene._model, near, scene._x, x_start, memory)
         scene.restore(scene.state()._replace(memory=remembered))
         stored_j = max(stored_j, float((scene._memory.slip_m**2).sum()) * contact.tangential_stiffness_n_m / 2)
         here = there

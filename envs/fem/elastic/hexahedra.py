@@ -315,7 +315,7 @@ def _write_jacobian(hexahedra: Hexahedra, h: int, pressure: float, scratch: Hexa
 
 @kernel
 def _write_blocks(hexahedra: Hexahedra, h: int, scratch: HexahedronScratch) -> None:
-    """Write the blocks of the nodes, eight of them at once."""
+    """Write the blocks of the unknown nodes by all, eight of them at once."""
     jacobian, rows, block, weights = scratch.jacobian, scratch.rows, scratch.block, hexahedra.weights
     w = weight_place(h, 0, 0)
     groups = (w, w + NODES, w + 2 * NODES, w + 3 * NODES, w + 4 * NODES, w + 5 * NODES, w + 6 * NODES)
@@ -329,6 +329,8 @@ def _write_blocks(hexahedra: Hexahedra, h: int, scratch: HexahedronScratch) -> N
                 write_sum_of_seven(rows, NODES * (9 * s + 3 * i + k), by, weights, groups)
     stride = 9 * NODES
     for a in range(NODES):
+        if hexahedra.places[h, NODES * a + a] < 0:
+            continue
         of = (
             weights[w + a], weights[w + NODES + a], weights[w + 2 * NODES + a], weights[w + 3 * NODES + a],
             weights[w + 4 * NODES + a], weights[w + 5 * NODES + a], weights[w + 6 * NODES + a],
@@ -349,8 +351,10 @@ def _write_blocks(hexahedra: Hexahedra, h: int, scratch: HexahedronScratch) -> N
 
 @kernel
 def _add_blocks(hexahedra: Hexahedra, h: int, block: FloatArray, system: NewtonSystem) -> None:
-    """Add the blocks of the nodes to the matrix, or to the coupling where the second is prescribed."""
+    """Add the blocks of the unknown nodes to the matrix, or to the coupling where the second one is prescribed."""
     for a in range(NODES):
+        if hexahedra.places[h, NODES * a + a] < 0:
+            continue
         for b in range(NODES):
             place = hexahedra.places[h, NODES * a + b]
             if place >= 0:

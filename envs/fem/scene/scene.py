@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..contact.broad_phase import Candidates
 from ..contact.forces import ContactMemory, PairForces, empty_memory, no_forces, pair_forces, sorted_memory
 from ..contact.overlap import find_overlap
 from ..contact.weakening import weaken_friction
@@ -25,7 +26,7 @@ from ..model.settings import (
     SolverSettings,
 )
 from ..solver.assembly import Workspace, new_workspace
-from ..solver.iterate import IpcStep, remember_step
+from ..solver.iterate import IpcStep, find_contacts, remember_step
 from ..solver.newton import SOLVED, UNSOLVED, UNSTABLE, Counter, Measure, Record, Tolerances, forces_at, solve_step
 from ..solver.path import BalancePath
 from .builder import build_model
@@ -112,6 +113,7 @@ class _Attempt:
 
     Attributes:
         held: forces [N] of shape [n, 3] that are taken away from the step's own; zero but on the way to its end.
+        near: candidates where the last motion ended.
     """
 
     start: FloatArray
@@ -119,6 +121,7 @@ class _Attempt:
     x_hat: FloatArray
     target: FloatArray
     held: FloatArray
+    near: Candidates | None = None
     saddle_escapes: int = 0
     record: Record = field(
         default_factory=lambda: Record(np.zeros(len(Counter), dtype=np.int64), np.zeros(len(Measure)))
@@ -217,7 +220,9 @@ class Scene:
         status, parts = self._solve(attempt)
         self._velocity = (self._x - start) / time_step_s
         if self._model.parameters.remembers_slip:
-            self._memory = sorted_memory(remember_step(self._model, self._x, start, attempt.memory))
+            near = None if status == StepStatus.NOT_CONVERGED else attempt.near
+            near = near or find_contacts(self._model, self._x)
+            self._memory = sorted_memory(remember_step(self._model, near, self._x, start, attempt.memory))
         if len(self._viscous_strain):
             strain = follow_strain(self._branches, self._viscous_strain, self._model.hexahedra, self._x)
             self._viscous_strain = strain
@@ -428,7 +433,8 @@ class Scene:
         most = s.newton_iterations if iterations is None else iterations
         residual_n = s.residual_tolerance_n if residual_n is None else residual_n
         tolerances = Tolerances(s.step_tolerance_m, residual_n, most, s.phase_iterations)
-        return solve_step(self._model, self._x, step, tolerances, self._workspace, attempt.record)
+        outcome, attempt.near = solve_step(self._model, self._x, step, tolerances, self._workspace, attempt.record)
+        return outcome
 
     def _gel_forces_n(self, gradient: FloatArray) -> tuple[tuple[float, float, float], ...]:
         held = (gradient[driven].sum(axis=0).tolist() for driven in self._driven)

@@ -95,13 +95,24 @@ def list_candidates(model: Model, s: Solve) -> Candidates:
 
 
 @allocating_kernel
-def remember_step(model: Model, x: FloatArray, x_start: FloatArray, before: ContactMemory) -> ContactMemory:
-    """Return what contacts remember after a step from x_start to x [m] of shape [n, 3], in no order."""
-    points, reach_m = len(model.points.node_count), np.full(len(model.surfaces.pairs), model.parameters.d_hat_m)
-    y, y_start = np.empty((points, 3)), np.empty((points, 3))
+def find_contacts(model: Model, x: FloatArray) -> Candidates:
+    """Return the pairs that are not further apart than d_hat at nodes x [m] of shape [n, 3]."""
+    y = np.empty((len(model.points.node_count), 3))
+    point_positions(model.points, x, y)
+    return find_candidates(model.surfaces, y, np.full(len(model.surfaces.pairs), model.parameters.d_hat_m))
+
+
+@allocating_kernel
+def remember_step(
+    model: Model, near: Candidates, x: FloatArray, x_start: FloatArray, before: ContactMemory
+) -> ContactMemory:
+    """Return what contacts remember after a step from x_start to x [m] of shape [n, 3], in no order.
+
+    They are looked for among `near`, a list that is complete at x.
+    """
+    y, y_start = np.empty((len(model.points.node_count), 3)), np.empty((len(model.points.node_count), 3))
     point_positions(model.points, x, y)
     point_positions(model.points, x_start, y_start)
-    near = find_candidates(model.surfaces, y, reach_m)
     return remember_slips(model, near, y, y_start, before)
 
 

@@ -142,8 +142,10 @@ _UNCHECKED_STEP_M = 1e-7
 @allocating_kernel
 def solve_step(
     model: Model, x: FloatArray, step: IpcStep, tolerances: Tolerances, workspace: Workspace, record: Record
-) -> int:
-    """Move nodes x [m] of shape [n, 3] to the solution with the prescribed nodes at x_target; return how that ended.
+) -> tuple[int, Candidates]:
+    """Move nodes x [m] of shape [n, 3] to the solution with the prescribed nodes at x_target.
+
+    Returns how that ended, and the candidates at its end.
 
     Friction is measured from x_start, inertia from x_hat. The prescribed motion is part of the Newton step and is
     applied as far as contact allows in each iteration. Whatever the outcome, x is free of intersections and inversions.
@@ -174,7 +176,7 @@ def solve_step(
             matrix = find_direction(model, candidates, s, workspace, cautious)
             record.counts[Counter.PROJECTED_ITERATIONS] += int(matrix != EXACT_MATRIX)
         if matrix == NO_MATRIX:
-            return UNSOLVED
+            return UNSOLVED, candidates
         turn += int(not reused)
         size = write_step(model, system.prescribed_move, s.step)
         residual = largest_residual(model, system.gradient)
@@ -182,9 +184,9 @@ def solve_step(
         arrived = left == 0.0 and size <= tolerances.step_m and residual <= tolerances.residual_n
         if arrived and not escaping:
             if is_stable(model, candidates, s, workspace, matrix):
-                return SOLVED
+                return SOLVED, candidates
             record.counts[Counter.UNSTABLE] += 1
-            return UNSTABLE
+            return UNSTABLE, candidates
         longest = shorten_long_move(model, s.step)
         if not look_ahead(model, s):
             candidates = list_candidates(model, s)
@@ -198,7 +200,7 @@ def solve_step(
         whole = fraction == 1.0 and left == 0.0
         reusable = whole and matrix == EXACT_MATRIX and not cautious and size <= _REUSING_STEP_M
         escaping = False
-    return UNSOLVED
+    return UNSOLVED, candidates
 
 
 @allocating_kernel
