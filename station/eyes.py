@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from queue import SimpleQueue
 from threading import Condition, Thread
-from time import time_ns
+from time import sleep, time_ns
 from typing import Final, NamedTuple, Self
 
 from vitac.envs.errors import VitacError
 
-from .description import Procedure, StationDescription
+from .description import Procedure, Release, StationDescription
 from .devices.cameras import AnyDepthCamera, GelSightCamera, Picture, open_depth_camera
 from .devices.force_torque import ForceTorqueSensor
 from .devices.gripper import HandE
@@ -27,6 +27,9 @@ from .perception.observation import DAMAGED_PART, Cells, find_changed_part, meas
 
 _PICTURE_S: Final = 10.0
 """Longest wait for a pair of pictures."""
+
+_LOOK_S: Final = 0.02
+"""Time between two looks whether the stage moves."""
 
 Tracker = MarkerTracker | AssignedMarkerTracker
 
@@ -300,6 +303,19 @@ def open_station(description: StationDescription) -> Iterator[OpenStation]:
         )
 
 
+def _lift(stage: LinearStage, description: StationDescription, procedure: Procedure) -> None:
+    """Go straight up with what the gripper holds, where nobody is asked: pressed onto something it may pass a limit.
+
+    The guard would then stop the station each time it is opened, and the trial of a killed agent would never be played.
+    """
+    pose = stage.status().pose
+    if procedure.release is not Release.AUTOMATIC or pose.z_mm >= procedure.safe_z_mm:
+        return
+    stage.start_move(pose._replace(z_mm=procedure.safe_z_mm), feed=60 * description.limits.speed_mm_s)
+    while stage.status().is_moving:
+        sleep(_LOOK_S)
+
+
 def _make_ready(stage: LinearStage, gripper: HandE, box: ForceTorqueSensor, description: StationDescription) -> None:
     state = stage.status().state
     if state is GrblState.ALARM:
@@ -308,7 +324,9 @@ def _make_ready(stage: LinearStage, gripper: HandE, box: ForceTorqueSensor, desc
         stage.forget_motion()
     gripper.activate()
     procedure = description.procedure
-    if procedure is not None and gripper.status().position <= procedure.open_position:
+    if procedure is not None and gripper.status().position > procedure.open_position:
+        _lift(stage, description, procedure)
+    elif procedure is not None:
         box.stop()
         box.zero()
     box.start(description.force_torque.rate_hz)

@@ -1,5 +1,6 @@
 """Trials at a twin, by policies that know where the hole is: every way in which an attempt can end."""
 
+import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from threading import Event
@@ -12,6 +13,7 @@ from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
 from vitac.evaluator.episodes.reading import Observation, make_reading
 from vitac.evaluator.strict_model import validate
 from vitac.evaluator.tracks import Episode, load_track
+from vitac.station.arm import Arm
 from vitac.station.description import StationDescription
 from vitac.station.eyes import NoProcedure, OpenStation, open_station
 from vitac.station.outcome import TrialOutcome
@@ -147,6 +149,26 @@ def test_fault_has_its_own_outcome_and_the_next_attempt_plays(
     attempt, _ = play(break_it)
     assert (attempt.outcome, attempt.outcome.counts) == (outcome, False), attempt.reason
     assert reason in attempt.reason
+
+
+@pytest.mark.slow
+def test_part_that_a_killed_agent_left_pressed_is_lifted_before_limits_are_watched(twin: RunningTwin) -> None:
+    with open_station(validate(StationDescription, twin.description, "station.yaml")) as opened:
+        arm = Arm(opened)
+        arm.fetch()
+        above = arm.place(START, opened.procedure.safe_z_mm)
+        arm.go(above)
+        arm.go(above._replace(z_mm=arm.height_mm(-1.0)), 1.0)
+        opened.eyes.wait(3)
+        wrench = opened.guard.wrench()
+    assert wrench is not None
+    pressed_n = math.hypot(*wrench[:3])
+    assert pressed_n > 1.0
+    limits = {**twin.description["limits"], "force_n": pressed_n / 2}
+    with open_station(validate(StationDescription, twin.description | {"limits": limits}, "station.yaml")) as opened:
+        opened.eyes.wait(3)
+        assert opened.guard.reason is None
+        assert opened.stage.status().pose.z_mm == pytest.approx(opened.procedure.safe_z_mm, abs=0.1)
 
 
 def test_station_without_a_procedure_cannot_play(twins: TwinStation) -> None:
