@@ -75,7 +75,7 @@ def decode_waiting(word: bytes) -> tuple[int, int]:
     return played, starts
 
 
-_OF_ONE_SHARD: Final = frozenset({"secret", "shard", "episodes", "skip", "earlier_failures", "coefficients"})
+_OF_ONE_SHARD: Final = frozenset({"secret", "shard", "episodes", "skip", "earlier_failures", "coefficients", "code"})
 """Which episodes are played, and from where they are taken; environment and policy are the same for all lists."""
 
 

@@ -233,7 +233,9 @@ def test_rllib() -> None:
 def test_every_row_of_the_table_has_its_test(repository: Path) -> None:
     table = (repository / "docs" / "libraries.md").read_text()
     rows = re.findall(r"^\|.*\| `(test_\w+)` \|$", table, re.MULTILINE)
-    *ours, lerobot = rows
+    *ours, lerobot, server = rows
     assert [*ours, "test_every_row_of_the_table_has_its_test"] == [name for name in globals() if name[:5] == "test_"]
     other = repository / "tests" / "unit" / "training" / "demonstrations" / "lerobot" / "test_writing.py"
     assert f"def {lerobot}(" in other.read_text()
+    remote = repository / "tests" / "integration" / "remote" / "test_policy_servers.py"
+    assert f"def {server}(" in remote.read_text()

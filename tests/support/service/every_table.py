@@ -25,6 +25,7 @@ from vitac.server.database.models import (
     Invitation,
     JudgingConflict,
     JudgingMark,
+    LivePicture,
     LogCopy,
     MetricTotal,
     NearCopy,
@@ -133,6 +134,12 @@ def fill_every_table(session: Session, submission: Submission, evaluation: Evalu
                 isolation="",
             ),
         ]
+    )  # fmt: skip
+    session.flush()
+    session.add(
+        LivePicture(
+            station="station-1", competition="cup", track=track, stage=stage, picture=b"\0\x7f\xff\\n", taken_at=now
+        )
     )  # fmt: skip
     session.get_one(Team, team_id).contact = "ann@example.org"
 

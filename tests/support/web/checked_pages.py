@@ -3,9 +3,13 @@
 from collections.abc import Iterable
 
 from starlette.routing import Route
+from vitac.web.pages.briefs import ADDRESS as BRIEFS
+from vitac.web.pages.briefs import STAGE
 from vitac.web.pages.episodes.page import EMBED
 from vitac.web.pages.routes import EPISODES, pages
+from vitac.web.pages.trial import ADDRESS as TRIAL
 
+TRIALS = f"{STAGE}/trials"
 BOARD = "/tracks/track_1?stage=stage1"
 COMPETITION = "/competitions/cup"
 PAGES_OF_ROLES = {
@@ -29,11 +33,12 @@ SUBMISSION is one of the participant's team, PUBLIC another one, which the team 
 WITH_SCENES = {
     **dict.fromkeys((*EPISODES, *(EMBED + address for address in EPISODES)), "test_episodes_in_browser"),
     "/submissions/{submission_id}/sensor": "test_sensors_in_browser",
+    **dict.fromkeys((BRIEFS, TRIALS, TRIAL), "test_finals_in_browser"),
 }
-"""Pages that need a browser that draws scenes, by the modules that look at them."""
-PARTS = ("/scene", "/shape", "/playback", "/events", "/playback/{file}")
+"""Pages that need a browser that draws scenes, or a competition of their own, by the modules that look at them."""
+PARTS = ("/scene", "/shape", "/playback", "/events", "/playback/{file}", "/live/{station}")
 """Ends of addresses that a script asks for."""
-DOWNLOADS = ("/document",)
+DOWNLOADS = ("/document", "/video")
 """Ends of addresses of files to save, besides those whose names have a dot."""
 
 

@@ -23,6 +23,7 @@ OWN = {
     "episodes": (1, 2),
     "skip": (3,),
     "earlier_failures": (FAILURE,),
+    "code": "0123456789ABCDEF",
     "coefficients": Coefficients(mesh_hash="0" * 64, starts=3, regressions=()),
 }
 """What may differ between two orders that share."""

@@ -17,7 +17,7 @@ from vitac.server.principals import VISITOR
 from vitac.server.submissions import creation
 from vitac.server.submissions.listing import model_card
 
-CONTENTS = {"frameworks": ["torch"], "code_bytes": 100, "weights_bytes": 2000}
+CONTENTS = {"frameworks": ["torch"], "code_bytes": 100, "weights_bytes": 2000, "blank_answers": []}
 
 
 def slow_record(episode: int, *, task: str) -> EpisodeRecord:
