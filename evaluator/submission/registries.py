@@ -7,15 +7,18 @@ import hashlib
 import os
 import secrets
 from collections.abc import Callable, Collection, Iterator, Mapping
+from http import HTTPStatus
 from pathlib import Path
 from time import monotonic
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-import httpx
 import msgspec
 from vitac.envs.kernel_cache import cache_root
 
 from .names import ArchiveFault, ArchiveRejected
+
+if TYPE_CHECKING:
+    import httpx
 
 REGISTRIES_VARIABLE: Final = "VITAC_WHEEL_REGISTRIES"
 """Names the addresses, separated by commas; without it nothing is fetched."""
@@ -47,6 +50,8 @@ def fetch_wheel(name: str, digests: Collection[str], is_meant: Callable[[str], b
     if (path := next(stored, None)) is not None:
         os.utime(path)
         return path
+    import httpx  # here, since nobody else needs it who checks or plays
+
     for registry in registries:
         try:
             with httpx.Client(headers=_ACCEPT, follow_redirects=True, timeout=_STILL_S) as client:
@@ -78,10 +83,10 @@ def _make_room() -> None:
         kept_bytes -= sizes[path].st_size
 
 
-def _list_files(client: httpx.Client, address: httpx.URL) -> Iterator[tuple[str, str, str]]:
+def _list_files(client: "httpx.Client", address: "httpx.URL") -> Iterator[tuple[str, str, str]]:
     """Yield name, SHA-256 and address of the files of a package; none of one that the registry does not know."""
     with client.stream("GET", address) as answer:
-        if answer.status_code == httpx.codes.NOT_FOUND:
+        if answer.status_code == HTTPStatus.NOT_FOUND:
             return
         answer.raise_for_status()
         content = b"".join(_limited(answer, _LIST_BYTES, f"The list of {address}"))
@@ -91,7 +96,7 @@ def _list_files(client: httpx.Client, address: httpx.URL) -> Iterator[tuple[str,
                 yield name, digest, url
 
 
-def _fetch(client: httpx.Client, address: httpx.URL, name: str, digest: str, max_bytes: int) -> Path:
+def _fetch(client: "httpx.Client", address: "httpx.URL", name: str, digest: str, max_bytes: int) -> Path:
     """Store a wheel, whole or not at all."""
     folder = _folder() / digest
     folder.mkdir(parents=True, exist_ok=True)
@@ -110,7 +115,7 @@ def _fetch(client: httpx.Client, address: httpx.URL, name: str, digest: str, max
         part.unlink(missing_ok=True)
 
 
-def _limited(answer: httpx.Response, max_bytes: int, what: str) -> Iterator[bytes]:
+def _limited(answer: "httpx.Response", max_bytes: int, what: str) -> Iterator[bytes]:
     deadline_s, left = monotonic() + _WHEEL_S, max_bytes
     for piece in answer.iter_bytes():
         left -= len(piece)

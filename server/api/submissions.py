@@ -50,6 +50,7 @@ from .access import (
     OwnerOf,
     PublicReaderOf,
     ReaderOf,
+    RowNumber,
     ServicesOf,
     SignedInOf,
     SubmitterOf,
@@ -274,7 +275,7 @@ def get_log(
 
 @router.get("/{submission_id}/trials/{task}/{episode}")
 def get_trial(
-    services: ServicesOf, principal: PublicReaderOf, submission_id: UUID, task: str, episode: int
+    services: ServicesOf, principal: PublicReaderOf, submission_id: UUID, task: str, episode: RowNumber
 ) -> TrialView:
     """Return a trial that a station has played: a team's own, and all once the list is published."""
     with services.database.reading() as session:
@@ -287,7 +288,7 @@ def get_trial(
     responses={200: {"content": {VIDEO_TYPE: {}}, "description": "The file for `vitac station verify`."}},
 )
 def get_trial_video(
-    services: ServicesOf, principal: PublicReaderOf, submission_id: UUID, task: str, episode: int
+    services: ServicesOf, principal: PublicReaderOf, submission_id: UUID, task: str, episode: RowNumber
 ) -> Response:
     """Return the video of a trial as the station recorded it."""
     with services.database.reading() as session:

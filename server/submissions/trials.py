@@ -26,6 +26,8 @@ def find_trial(session: Session, by: Principal, submission_id: UUID, task: str, 
         ServiceError: there is none that the principal may see.
     """
     submission = readable(session, by, submission_id)
+    if task not in submission.tasks:
+        raise _missing(submission_id, task, number)
     episode = _find_episode(session, by, newest_evaluation(session, submission), task, number)
     record = EpisodeRecord.model_validate(episode.record)
     evidence = record.evidence
