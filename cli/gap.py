@@ -44,9 +44,8 @@ def command(
             f"expected two files of each policy, simulation and station, got {len(files)} files.", param_hint="files"
         )
     starts: dict[int, Hashable] = {}
-    pairs = [
-        (_played_twice(*pair, starts), _read_trials(pair[1])) for pair in zip(files[::2], files[1::2], strict=True)
-    ]
+    tried = [(simulated, file, _read_trials(file)) for simulated, file in zip(files[::2], files[1::2], strict=True)]
+    pairs = [(_played_twice(*each, starts), each[-1]) for each in tried]
     whole = [(policy, report) for policy, report in pairs if not _without(report)]
     gap = measure_gap([policy for policy, _ in whole], starts)
     shares = _measure_shares(pairs, starts)
@@ -112,7 +111,7 @@ def _print_touch(touch: dict[str, TouchGap]) -> None:
         print_table(("part", "error, 95 % interval"), [*rows, ("force", _text(gap.force_n, 1, "N"))], none="")
 
 
-def _played_twice(simulated: Path, tried: Path, starts: dict[int, Hashable]) -> PlayedTwice:
+def _played_twice(simulated: Path, tried: Path, report: RehearsalReport, starts: dict[int, Hashable]) -> PlayedTwice:
     """Return the episodes of a policy that both have, and add their starts.
 
     Raises:
@@ -120,7 +119,6 @@ def _played_twice(simulated: Path, tried: Path, starts: dict[int, Hashable]) -> 
     """
     from vitac.evaluator.scoring.gap import PlayedTwice
 
-    report = _read_trials(tried)
     digest, simulation = _read_simulated(simulated, report.task)
     if digest not in (None, report.submission_digest):
         raise OtherEpisodes(

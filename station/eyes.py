@@ -280,12 +280,12 @@ def open_station(description: StationDescription) -> Iterator[OpenStation]:
         stage = stack.enter_context(LinearStage(description.stage.port))
         gripper = stack.enter_context(HandE(description.gripper.port, unit=description.gripper.unit))
         box = stack.enter_context(ForceTorqueSensor(description.force_torque.host, description.force_torque.port))
+        _make_ready(stage, gripper, box, description)  # before anybody would have to read pictures meanwhile
         left, right = open_cameras(description, stack)
         described = description.depth_camera
         depth_camera: AnyDepthCamera | None = open_depth_camera(described) if described else None
         if depth_camera is not None:
             stack.enter_context(depth_camera)
-        _make_ready(stage, gripper, box, description)
         guard = stack.enter_context(Guard(limits=description.limits, stage=stage, gripper=gripper, force_torque=box))
         eyes = stack.enter_context(Eyes(left=left, right=right, guard=guard))
         overview = Overview(description.overview, guard) if description.overview else None

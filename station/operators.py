@@ -22,7 +22,7 @@ _PAUSE_S: Final = 2.0
 _SAFE: Final = ("Nothing touches the stage.", "The peg is in its garage or in the gripper.", "Nobody is in reach.")
 
 
-class Decision(StrEnum):
+class OperatorDecision(StrEnum):
     """What an operator may answer."""
 
     ACCEPT = "accept"
@@ -35,7 +35,7 @@ class DecisionRefused(VitacError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Question:
+class OperatorQuestion:
     """What is decided next.
 
     Attributes:
@@ -50,7 +50,7 @@ class Question:
     text: str
     measured: tuple[str, ...]
     checklist: tuple[str, ...]
-    decisions: tuple[Decision, ...]
+    decisions: tuple[OperatorDecision, ...]
 
 
 @dataclass(kw_only=True)
@@ -69,8 +69,8 @@ class Operator:
     phase: str = "No trial is running."
     stop_reason: str | None = None
     _number: int = 0
-    _question: Question | None = None
-    _decision: tuple[Decision, str] | None = None
+    _question: OperatorQuestion | None = None
+    _decision: tuple[OperatorDecision, str] | None = None
     _last: str = ""
     _paused_at: float | None = None
     _cancelled: str | None = None
@@ -104,10 +104,10 @@ class Operator:
     def ask(
         self,
         text: str,
-        decisions: Sequence[Decision],
+        decisions: Sequence[OperatorDecision],
         checklist: Sequence[str] = (),
         measured: Sequence[str] = (),
-    ) -> tuple[Decision, str]:
+    ) -> tuple[OperatorDecision, str]:
         """Wait for a decision, and return it with its note.
 
         Raises:
@@ -116,7 +116,7 @@ class Operator:
         with self._changed:
             self._number += 1
             self._decision = None
-            self._question = Question(
+            self._question = OperatorQuestion(
                 number=self._number,
                 text=text,
                 measured=tuple(measured),
@@ -127,7 +127,7 @@ class Operator:
                 self._wait_until(lambda: self._decision is not None)
             finally:
                 self._question = None
-            decision: tuple[Decision, str] = self._decision or (Decision.REFUSE, "")
+            decision: tuple[OperatorDecision, str] = self._decision or (OperatorDecision.REFUSE, "")
             return decision
 
     def wait_while_paused(self, phase: str) -> None:
@@ -154,7 +154,7 @@ class Operator:
                 self.stop_reason, self._stopped_at = reason, monotonic()
             self._is_releasing = True
         try:
-            _, note = self.ask(f"{reason} Make the station safe, then release it.", (Decision.ACCEPT,), _SAFE)
+            _, note = self.ask(f"{reason} Make the station safe, then release it.", (OperatorDecision.ACCEPT,), _SAFE)
         finally:
             self._is_releasing = False
         self.note_help(HelpKind.RELEASE, self._stopped_at, note)
@@ -186,7 +186,7 @@ class Operator:
             self._cancelled = reason
             self._changed.notify_all()
 
-    def decide(self, number: int, decision: Decision, note: str = "") -> None:
+    def decide(self, number: int, decision: OperatorDecision, note: str = "") -> None:
         """Answer a question.
 
         Raises:
@@ -199,7 +199,7 @@ class Operator:
             if decision not in question.decisions:
                 raise DecisionRefused(f"Expected {' or '.join(question.decisions)}, got {decision}.")
             note = _check_note(note)
-            if decision is Decision.REFUSE and not note:
+            if decision is OperatorDecision.REFUSE and not note:
                 raise DecisionRefused("Say in the note why the trial is refused.")
             self._decision, self._last = (decision, note), f" ({decision})"
             self._changed.notify_all()

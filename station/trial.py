@@ -21,7 +21,7 @@ from .arm import Arm, NoPeg, Offset
 from .devices.stage import DeviceFault, Pose
 from .eyes import OpenStation, SensorReading
 from .guard import LARGEST_RADIUS_MM, LARGEST_THETA_DEG, LimitPassed, StationStopped
-from .operators import Decision, Operator
+from .operators import Operator, OperatorDecision
 from .outcome import TrialOutcome
 from .perception.observation import NoMarkerFollowed, marker_flow, mean_by_region
 from .perception.segmentation import NothingAtPrompt, SamMissing
@@ -155,7 +155,7 @@ class Trial:
             self._ask(ready, _CHECKLIST, measured=[f"{each.name}: {each.value}" for each in findings])
         operator.wait_while_paused("The peg is fetched, grasped and looked at.")
         self._grasp()
-        while operator.asks and self._ask_about_grasp() is Decision.REGRASP:
+        while operator.asks and self._ask_about_grasp() is OperatorDecision.REGRASP:
             began = monotonic()
             self._station.thresholds_px = None
             self._grasp()
@@ -171,20 +171,24 @@ class Trial:
             finally:
                 self._attempt.output, self._attempt.policy_s = policy.output, policy.cpu_s
 
-    def _ask(self, text: str, checklist: Sequence[str], *decisions: Decision, measured: Sequence[str] = ()) -> Decision:
+    def _ask(
+        self, text: str, checklist: Sequence[str], *decisions: OperatorDecision, measured: Sequence[str] = ()
+    ) -> OperatorDecision:
         """Return what an operator decides.
 
         Raises:
             PreflightRefused: the operator refused, for the reason in the note.
         """
-        answer, note = self._operator.ask(text, (Decision.ACCEPT, *decisions, Decision.REFUSE), checklist, measured)
-        if answer is Decision.REFUSE:
+        answer, note = self._operator.ask(
+            text, (OperatorDecision.ACCEPT, *decisions, OperatorDecision.REFUSE), checklist, measured
+        )
+        if answer is OperatorDecision.REFUSE:
             raise PreflightRefused(f"An operator refused the trial: {note}")
         return answer
 
-    def _ask_about_grasp(self) -> Decision:
+    def _ask_about_grasp(self) -> OperatorDecision:
         held = "The peg hangs in free air. Accepted, the policy begins."
-        return self._ask(held, _GRASP_CHECKLIST, Decision.REGRASP)
+        return self._ask(held, _GRASP_CHECKLIST, OperatorDecision.REGRASP)
 
     def _summarize_forces(self) -> ContactForces | None:
         """Return what the force/torque sensor measured since the descent; None where no env step was played."""

@@ -128,7 +128,7 @@ def _compare(notes: Sequence[FrameNote], record: EpisodeRecord) -> Iterator[str]
     wrong = next((frame for frame, link in marks if frame and links.get(frame) != link), None)
     if wrong is not None:
         right = max((frame for frame, link in marks if frame < wrong and links.get(frame) == link), default=0)
-        yield f"Frames {right + 1} to {wrong} are not those that the record names: the video was made anew."
+        yield f"Frames {right + 1} to {wrong} are not those that the record names: the video was written again."
 
 
 def _marks(record: EpisodeRecord) -> Iterable[tuple[int, str]]:

@@ -95,7 +95,7 @@ def _answering(policy: Path, remote: str | None, *, is_image: bool, lines: int) 
 
     A policy server is asked in its own words. A policy that plays here, and a server of LeRobot, whose pickles no
     service reads, are served in those of vla-eval, and the folder names the policy's digest: for another one all
-    episodes are played anew.
+    episodes are played again.
     """
     from vitac.evaluator.agent.limits import Limits
     from vitac.evaluator.evaluation.serving import served

@@ -18,7 +18,7 @@ from ..agent.verdicts import PolicyFailed, VerdictCode
 
 _HELPERS: Final = "lerobot.async_inference.helpers"
 _OPCODES_MAX: Final = 200_000
-"""About sixty write one action."""
+"""Of an answer; about a hundred write one action."""
 _LENGTH_MAX: Final = 1000
 """Of an answer in actions, and of an action."""
 _DTYPES: Final = {
@@ -61,9 +61,10 @@ def read_actions(data: bytes, timestep: int) -> NDArray[np.generic]:
     Raises:
         PolicyFailed: bad_action_type, or protocol_violation where it is anything else, or answers another question.
     """
+    left = iter(range(_OPCODES_MAX))
     try:
-        actions = _as(list, _read_tree(BytesIO(data)))
-        rows = [_read_action(action, timestep + place) for place, action in enumerate(actions[:_LENGTH_MAX])]
+        actions = _as(list, _read_tree(BytesIO(data), left))
+        rows = [_read_action(action, timestep + place, left) for place, action in enumerate(actions[:_LENGTH_MAX])]
     except (ValueError, IndexError, KeyError, TypeError) as error:
         raise violation(f"Expected a list of LeRobot's TimedAction, got another pickle: {error!r:.200}.") from None
     if not rows or len({row.shape for row in rows}) > 1:
@@ -71,22 +72,22 @@ def read_actions(data: bytes, timestep: int) -> NDArray[np.generic]:
     return np.stack(rows)
 
 
-def _read_action(action: object, timestep: int) -> NDArray[np.generic]:
-    state = _as(dict, _call_of(f"{_HELPERS} TimedAction", action).state)
+def _read_action(action: object, timestep: int, left: Iterator[int]) -> NDArray[np.generic]:
+    state = _as(dict, _check_call(f"{_HELPERS} TimedAction", action).state)
     answered = _as(int, state["timestep"])
     if answered != timestep:
         raise violation(
             f"Expected the answer to question {timestep}, got that to question {answered!r:.40}. LeRobot's server "
             "answers one client at a time: is there another one?"
         )
-    return _read_tensor(state["action"])
+    return _read_tensor(state["action"], left)
 
 
-def _read_tensor(value: object) -> NDArray[np.generic]:
+def _read_tensor(value: object, left: Iterator[int]) -> NDArray[np.generic]:
     """Return the numbers of a pickled tensor of one axis, as torch writes it."""
-    call = _call_of("torch._utils _rebuild_tensor_v2", value)
+    call = _check_call("torch._utils _rebuild_tensor_v2", value)
     storage, offset, size, stride, *_ = _as(tuple, call.arguments)
-    numbers = _read_storage(storage)
+    numbers = _read_storage(storage, left)
     (length,), (step,) = _as(tuple, size), _as(tuple, stride)
     first, length, step = (_as(int, number) for number in (offset, length, step))
     if not (0 < length <= _LENGTH_MAX and first >= 0 <= step and first + (length - 1) * step < len(numbers)):
@@ -94,12 +95,12 @@ def _read_tensor(value: object) -> NDArray[np.generic]:
     return numbers[first + step * np.arange(length)]
 
 
-def _read_storage(value: object) -> NDArray[np.generic]:
+def _read_storage(value: object, left: Iterator[int]) -> NDArray[np.generic]:
     """Return the numbers that torch saved in its form before archives: five pickles, their count, and the numbers."""
-    (data,) = _as(tuple, _call_of("torch.storage _load_from_bytes", value).arguments)
+    (data,) = _as(tuple, _check_call("torch.storage _load_from_bytes", value).arguments)
     stream = BytesIO(_as(bytes, data))
-    _, _, _, storage, _ = (_read_tree(stream) for _ in range(5))
-    kind = _as(str, _as(tuple, _call_of("persistent", storage).arguments)[1])
+    _, _, _, storage, _ = (_read_tree(stream, left) for _ in range(5))
+    kind = _as(str, _as(tuple, _check_call("persistent", storage).arguments)[1])
     if kind not in _DTYPES:
         raise PolicyFailed(
             VerdictCode.BAD_ACTION_TYPE, f"Expected a tensor of {', '.join(_DTYPES)}, got one of {kind!r:.80}."
@@ -107,8 +108,12 @@ def _read_storage(value: object) -> NDArray[np.generic]:
     return np.frombuffer(stream.read()[8:], _DTYPES[kind])
 
 
-def _read_tree(stream: BytesIO) -> object:
+def _read_tree(stream: BytesIO, left: Iterator[int]) -> object:
     """Return what a pickle builds, with calls in place of objects; the stream is left behind it.
+
+    Args:
+        stream: at the pickle.
+        left: gives as many numbers as the answer may have further instructions.
 
     Raises:
         PolicyFailed: protocol_violation.
@@ -116,9 +121,9 @@ def _read_tree(stream: BytesIO) -> object:
     """
     stack: list[Any] = []
     memo: dict[int, Any] = {}
-    for number, (opcode, argument, _) in enumerate(pickletools.genops(stream)):
-        if number == _OPCODES_MAX:
-            raise violation(f"Expected a pickle of at most {_OPCODES_MAX} steps, got a longer one.")
+    for opcode, argument, _ in pickletools.genops(stream):
+        if next(left, None) is None:
+            raise violation(f"Expected an answer of at most {_OPCODES_MAX} instructions, got a longer one.")
         match opcode.name:
             case "PROTO" | "FRAME" | "STOP":
                 pass
@@ -185,7 +190,8 @@ def _above_mark(stack: list[Any]) -> Iterator[Any]:
     return iter(items)
 
 
-def _call_of(name: str, value: object) -> Call:
+def _check_call(name: str, value: object) -> Call:
+    """Return a value that is a call of this name."""
     call = _as(Call, value)
     if _as(str, call.name) != name:
         raise ValueError(f"{call.name!r:.80} in place of {name}")

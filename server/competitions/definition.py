@@ -309,6 +309,11 @@ class TrackRules(StrictModel):
     prizes: tuple[Prize, ...] = ()
     judging: Judging | None = None
 
+    @property
+    def single_prizes(self) -> tuple[Prize, ...]:
+        """What each rank wins, from the first on."""
+        return tuple(prize for prize in self.prizes for _ in range(prize.winners))
+
     def decides(self, stage: StageRules) -> bool:
         """Return whether prizes or advancement hang on a stage."""
         after = self.stages[self.stages.index(stage) + 1 :]

@@ -91,7 +91,8 @@ def board(session: Session, stage: Stage, by: Principal = VISITOR) -> EnteredBoa
     tasks, names = _require_tasks(stage), ShownNames.read(session, by)
     ordered = best_attempts(session, stage)
     ranks = {row.team: rank for rank, row in enumerate((row for row, _ in ordered if row.team), 1)}
-    prizes = _list_prizes(stage) if stage.is_over(read_clock(session)) else []
+    is_last = stage.track_rules.stages[-1].name == stage.name
+    prizes = stage.track_rules.single_prizes if is_last and stage.is_over(read_clock(session)) else ()
     return EnteredBoardView(
         competition=stage.competition,
         track=stage.track,
@@ -108,7 +109,7 @@ def board(session: Session, stage: Stage, by: Principal = VISITOR) -> EnteredBoa
                 total=total(stage, row),
                 evidence=row.evidence,
                 entered_at=row.entered_at,
-                prize=next(iter(prizes[ranks[row.team] - 1 :][:1]), None) if row.team in ranks else None,
+                prize=prizes[ranks[row.team] - 1].place if 0 < ranks.get(row.team, 0) <= len(prizes) else None,
             )
             for row, attempts in ordered
         ],
@@ -133,14 +134,6 @@ def best_attempts(session: Session, stage: Stage) -> Sequence[tuple[EnteredResul
 def total(stage: Stage, row: EnteredResult) -> float:
     """Return the sum over the stage's tasks of an attempt."""
     return float(sum(row.points.get(task.name, 0) for task in stage.rules.entered))
-
-
-def _list_prizes(stage: Stage) -> Sequence[str]:
-    """Return what each rank wins, from the first on; prizes go by the board of the track's last stage."""
-    rules = stage.track_rules
-    if rules.stages[-1].name != stage.name:
-        return []
-    return [prize.place for prize in rules.prizes for _ in range(prize.winners)]
 
 
 def _of_stage(stage: Stage) -> Select[EnteredResult]:

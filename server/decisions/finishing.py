@@ -1,10 +1,11 @@
 """The end of a competition: winners by the prize table, and the boards as they are then."""
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from functools import partial
+from typing import Any
 
 from sqlalchemy.orm import Session
 
@@ -12,7 +13,7 @@ from .. import names
 from ..accounts.teams import REASON_LENGTH
 from ..audit import newest_entries, record
 from ..competitions.competition import Competition
-from ..competitions.definition import Prize, TrackRules
+from ..competitions.definition import TrackRules
 from ..competitions.stages import Stage
 from ..confirmations import Concern, require_confirmed
 from ..database.clock import read_clock
@@ -27,8 +28,8 @@ from ..submissions.appeals import end_with_competition
 from ..tracks import known_track
 from ..transparency.log import append
 from ..views.leaderboards import LeaderboardEntryView, LeaderboardView
+from . import entered_results
 from .audit_digests import append_audit_digest
-from .entered_results import best_attempts, total
 from .judging import judged, ranked_by_total
 from .unsettled import unsettled
 
@@ -253,47 +254,54 @@ def _issue_receipt(session: Session, competition: Competition, *, reason: str | 
 
 def _find_winners(session: Session, stage: Stage, currency: str) -> list[Winner]:
     """Return the winners by the board of a stage; of fewer teams than prizes all win."""
-    prizes = _single_prizes(stage.track_rules.prizes)
-    return [
-        Winner(
-            track=stage.track,
-            place=prize.place,
-            rank=rank,
-            team=entry.team,
-            amount=prize.amount,
-            currency=currency,
-            note=prize.note,
-            success_rate=entry.success_rate,
-            mean_steps=entry.mean_steps,
-            submission=str(entry.submission_id),
-            result_hash=entry.result_hash,
-            total=total,
-        )
-        for rank, (prize, (entry, total)) in enumerate(
-            zip(prizes, _order_for_prizes(session, stage), strict=False), start=1
-        )
-    ]
+    return _award(
+        stage,
+        currency,
+        [
+            {
+                "team": entry.team,
+                "success_rate": entry.success_rate,
+                "mean_steps": entry.mean_steps,
+                "submission": str(entry.submission_id),
+                "result_hash": entry.result_hash,
+                "total": total,
+            }
+            for entry, total in _order_for_prizes(session, stage)
+        ],
+    )
 
 
 def _find_winners_by_points(session: Session, stage: Stage, currency: str) -> list[Winner]:
     """Return the winners by the results that operators have entered for a stage."""
-    ranked = [(row, row.team) for row, _ in best_attempts(session, stage) if row.team is not None]
+    return _award(
+        stage,
+        currency,
+        [
+            {
+                "team": row.team.name,
+                "points": entered_results.total(stage, row),
+                "evidence": row.evidence,
+                "team_id": str(row.team.id),
+            }
+            for row, _ in entered_results.best_attempts(session, stage)
+            if row.team is not None
+        ],
+    )
+
+
+def _award(stage: Stage, currency: str, ranked: Sequence[Mapping[str, Any]]) -> list[Winner]:
+    """Return who wins the prizes of a stage's track, the best first."""
     return [
         Winner(
             track=stage.track,
             place=prize.place,
             rank=rank,
-            team=team.name,
             amount=prize.amount,
             currency=currency,
             note=prize.note,
-            points=total(stage, row),
-            evidence=row.evidence,
-            team_id=str(team.id),
+            **entry,
         )
-        for rank, (prize, (row, team)) in enumerate(
-            zip(_single_prizes(stage.track_rules.prizes), ranked, strict=False), start=1
-        )
+        for rank, (prize, entry) in enumerate(zip(stage.track_rules.single_prizes, ranked, strict=False), start=1)
     ]
 
 
@@ -308,10 +316,6 @@ def _order_for_prizes(session: Session, stage: Stage) -> Sequence[tuple[Leaderbo
 def _count_unawarded(name: str, track: TrackRules, found: Sequence[Winner]) -> Counter[str]:
     given = Counter(winner.place for winner in found if winner.track == name)
     return Counter({prize.place: prize.winners for prize in track.prizes}) - given
-
-
-def _single_prizes(prizes: Sequence[Prize]) -> list[Prize]:
-    return [prize for prize in prizes for _ in range(prize.winners)]
 
 
 def _require_final(competition: Competition) -> None:

@@ -21,10 +21,10 @@ async function ask(what, content = {}) {
 async function send(what, content) {
   try {
     state = await ask(what, content);
-    at("told").textContent = "";
+    at("alert").textContent = "";
     show();
   } catch (error) {
-    at("told").textContent = error.message;
+    at("alert").textContent = error.message;
   }
 }
 
@@ -37,7 +37,7 @@ async function look() {
     show();
   } catch {
     if (performance.now() - heardAt > LOST_MS) {
-      at("told").textContent = "The agent of the station does not answer. Use the emergency stop, then look at its terminal.";
+      at("alert").textContent = "The agent of the station does not answer. Use the emergency stop, then look at its terminal.";
     }
   }
   setTimeout(look, PERIOD_MS);
@@ -104,7 +104,7 @@ function allowAccept() {
 
 async function decide(number, decision) {
   await send("decide", { number, decision, note: at("note").value });
-  if (at("told").textContent === "") at("note").value = "";
+  if (at("alert").textContent === "") at("note").value = "";
 }
 
 function showCameras() {
@@ -165,6 +165,6 @@ at("pause").addEventListener("click", () => send(state.paused_s === null ? "paus
 at("stop").addEventListener("click", () => send("stop"));
 at("write").addEventListener("click", async () => {
   await send("note", { note: at("note").value });
-  if (at("told").textContent === "") at("note").value = "";
+  if (at("alert").textContent === "") at("note").value = "";
 });
 look();

@@ -9,7 +9,7 @@ from typing import Any, Final
 from vitac.evaluator.own_page import OwnPageServer, PageFile
 
 from ..eyes import OpenStation
-from ..operators import Decision
+from ..operators import OperatorDecision
 from ..perception.markers import MarkerFlow, cut_picture
 from ..trials import TrialPlayer
 
@@ -51,7 +51,9 @@ class ConsoleServer(OwnPageServer, ThreadingHTTPServer):
             case "state":
                 pass
             case "decide":
-                operator.decide(int(content["number"]), Decision(content["decision"]), str(content.get("note", "")))
+                operator.decide(
+                    int(content["number"]), OperatorDecision(content["decision"]), str(content.get("note", ""))
+                )
             case "pause":
                 operator.pause()
             case "resume":

@@ -19,7 +19,7 @@ from ..twin.grasp import Axes, HeldPeg, Mounted, grip_harder, hold_peg, in_world
 from ..twin.hidden import HiddenSensor, HiddenSettings
 from ..twin.structure import HiddenStructure, twin_gel
 from .camera import undo_lens
-from .probes import LIGHT_FORCE, Probe, Probing, Sample
+from .probes import LIGHT_FORCE, ProbeKind, Probing, Sample
 
 FloatArray = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ _ITERATIONS: Final = 4
 _DAMPINGS: Final = (0.0, 3.0, 30.0, 300.0)
 """Of the moves that are tried one after the other (Levenberg and Marquardt)."""
 _ROBUST: Final = 3.0
-"""From so many deviations of noise on a difference counts in proportion to its size alone: a structure that our
+"""A difference of this many deviations of noise or more counts in proportion to its size alone: a structure that our
 simulation lacks is not to outweigh the rest."""
 _STEP: Final = 0.15
 """Of a number in its spread, for the slopes."""
@@ -49,7 +49,7 @@ class _Number(NamedTuple):
     by_factor: bool = False
 
     def at(self, z: float) -> float:
-        """Return its value so many spreads from the nominal one."""
+        """Return its value at a number of spreads from the nominal one."""
         return float(self.nominal * np.exp(self.spread * z)) if self.by_factor else self.nominal + self.spread * z
 
 
@@ -106,7 +106,7 @@ class _Replay:
         self._mounted, self._hole, self._structure = mounted, hole, structure
         gel = twin_gel(HiddenStructure())
         self._meshes, self._markers = Meshes(gel=gel, is_arena=True), PrintedMarkers(gel, marker_grid())
-        self._samples = probing.of(*(probe for probe in Probe if probe is not Probe.HOLD))
+        self._samples = probing.of(*(probe for probe in ProbeKind if probe is not ProbeKind.HOLD))
         self._rest_px = [self._markers.project_px(self._in_camera(gel.rest_position_m))] * 2
         self.observed = np.concatenate([self._observe(sample, sensors) for sample in self._samples])
         self.noise = np.concatenate([_noise_of(sample) for sample in self._samples])
@@ -122,7 +122,7 @@ class _Replay:
         return np.concatenate([sample.wrench[[0, 1, 2, 5]], *flows])
 
     def hidden(self, z: FloatArray) -> HiddenSettings:
-        """Return the twin so many spreads from what a station is built to be."""
+        """Return the twin at numbers of spreads from what a station is built to be."""
         values: dict[str, Any] = {
             number.name: number.at(each) for number, each in zip(_NUMBERS, z.tolist(), strict=True)
         }
@@ -135,19 +135,19 @@ class _Replay:
         held: HeldPeg | None = None
         shown, zero = [], np.zeros(6)
         for number, sample in enumerate(self._samples):
-            if sample.probe in (Probe.GRASP, Probe.LIGHT_GRASP):
-                factor = LIGHT_FORCE / GRIP_FORCE if sample.probe is Probe.LIGHT_GRASP else 1.0
-                first = next(each for each in self._samples[number:] if each.probe is Probe.AIR)
+            if sample.probe in (ProbeKind.GRASP, ProbeKind.LIGHT_GRASP):
+                factor = LIGHT_FORCE / GRIP_FORCE if sample.probe is ProbeKind.LIGHT_GRASP else 1.0
+                first = next(each for each in self._samples[number:] if each.probe is ProbeKind.AIR)
                 held = hold_peg(self._mounted, self._at(first, hidden), grip_harder(hidden, factor), self._meshes)
             if held is None:
                 raise VitacError("The first probe has to be a grasp; play all probes.")
             axes = self._at(sample, hidden)
-            if sample.probe is Probe.AIR:
+            if sample.probe is ProbeKind.AIR:
                 held.follow((*held.axes[:2], max(axes[2], held.axes[2]), held.axes[3]))
-            if sample.probe not in (Probe.GRASP, Probe.LIGHT_GRASP):
+            if sample.probe not in (ProbeKind.GRASP, ProbeKind.LIGHT_GRASP):
                 held.follow(axes)
             wrench = np.array(held.wrench())
-            if sample.probe is Probe.AIR:
+            if sample.probe is ProbeKind.AIR:
                 zero = wrench
             shown.append(np.concatenate([(wrench - zero)[[0, 1, 2, 5]], *self._flows(held)]))
         return np.concatenate(shown)

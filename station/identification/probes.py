@@ -40,7 +40,7 @@ class NothingFelt(VitacError):
     """A probe met nothing where plate or hole should be; correct hole and shape in the station's file."""
 
 
-class Probe(StrEnum):
+class ProbeKind(StrEnum):
     """What was done."""
 
     GRASP = "grasp"
@@ -67,7 +67,7 @@ class Sample(NamedTuple):
         after_s: since the first sample of a hold, by pictures [s].
     """
 
-    probe: Probe
+    probe: ProbeKind
     axes: Pose
     wrench: Force
     flows: tuple[MarkerFlow, MarkerFlow]
@@ -86,13 +86,13 @@ class Probing:
     rest_px: tuple[NDArray[np.float64], NDArray[np.float64]]
     samples: list[Sample] = field(default_factory=list)
 
-    def of(self, *probes: Probe) -> list[Sample]:
+    def of(self, *probes: ProbeKind) -> list[Sample]:
         """Return the samples of some probes."""
         return [sample for sample in self.samples if sample.probe in probes]
 
 
-def play_probes(station: OpenStation, show: Callable[[Probe], None] = lambda _: None) -> Probing:
-    """Play all probes, and let go of the peg in its garage.
+def play_probes(station: OpenStation, show: Callable[[ProbeKind], None] = lambda _: None) -> Probing:
+    """Play all probes, and put the peg back into its garage.
 
     Args:
         station: open and safe, with the peg in its garage or in the gripper.
@@ -106,50 +106,50 @@ def play_probes(station: OpenStation, show: Callable[[Probe], None] = lambda _: 
 
 
 class _Prober:
-    def __init__(self, station: OpenStation, show: Callable[[Probe], None]) -> None:
+    def __init__(self, station: OpenStation, show: Callable[[ProbeKind], None]) -> None:
         self._station, self._arm, self._show = station, Arm(station), show
         self._zero: Force = np.zeros(6)
         self._probing = Probing(rest_px=(np.zeros((0, 2)), np.zeros((0, 2))))
 
     def play(self) -> Probing:
         show, arm = self._show, self._arm
-        show(Probe.GRASP)
+        show(ProbeKind.GRASP)
         arm.open_in_garage()
         self._probing.rest_px = self._see_free_gels()
         arm.fetch()
-        self._sample(Probe.GRASP)
-        show(Probe.PRESS)
+        self._sample(ProbeKind.GRASP)
+        show(ProbeKind.PRESS)
         self._go_above((_BESIDE_MM, 0.0, 0.0))
-        self._press(Probe.PRESS, _PRESS_STEPS, _STEP_MM)
-        show(Probe.HOLD)
+        self._press(ProbeKind.PRESS, _PRESS_STEPS, _STEP_MM)
+        show(ProbeKind.HOLD)
         procedure = self._station.procedure
         pause_s = math.ceil((_HOLD_S + procedure.latency_s) / procedure.picture_s) * procedure.picture_s
         for number in range(_HOLDS):
-            self._sample(Probe.HOLD, number * pause_s, wait_s=_HOLD_S)
-        show(Probe.SLIDE)
+            self._sample(ProbeKind.HOLD, number * pause_s, wait_s=_HOLD_S)
+        show(ProbeKind.SLIDE)
         pressed = arm.pose()
         for way_mm in _SLIDES_MM:
-            self._go(pressed._replace(x_mm=pressed.x_mm - way_mm), Probe.SLIDE)
-        show(Probe.SIDE)
+            self._go(pressed._replace(x_mm=pressed.x_mm - way_mm), ProbeKind.SLIDE)
+        show(ProbeKind.SIDE)
         for x_mm, y_mm in ((_BESIDE_MM, 0.0), (0.0, _BESIDE_MM), (-_BESIDE_MM, 0.0), (0.0, -_BESIDE_MM)):
             self._go_above((x_mm, y_mm, 0.0))
             self._descend()
-            self._sample(Probe.SIDE)
-        show(Probe.WALL)
+            self._sample(ProbeKind.SIDE)
+        show(ProbeKind.WALL)
         self._go_above((0.0, 0.0, 0.0))
         middle = arm.place((0.0, 0.0, 0.0), arm.height_mm(-_IN_HOLE_MM))
-        self._go(middle, Probe.MIDDLE)
+        self._go(middle, ProbeKind.MIDDLE)
         for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):
             self._push_wall(middle, x, y)
-        show(Probe.TURN)
+        show(ProbeKind.TURN)
         for sign in (1, -1):
             self._turn(middle, sign)
-        show(Probe.LIGHT)
+        show(ProbeKind.LIGHT)
         arm.lift(self._station.procedure.safe_z_mm)
         arm.fetch(LIGHT_FORCE)
-        self._sample(Probe.LIGHT_GRASP)
+        self._sample(ProbeKind.LIGHT_GRASP)
         self._go_above((_BESIDE_MM, 0.0, 0.0))
-        self._press(Probe.LIGHT, _LIGHT_STEPS, _LIGHT_STEP_MM)
+        self._press(ProbeKind.LIGHT, _LIGHT_STEPS, _LIGHT_STEP_MM)
         arm.lift(self._station.procedure.safe_z_mm)
         arm.open_in_garage()
         return self._probing
@@ -170,9 +170,9 @@ class _Prober:
         arm.go(arm.place(offset, arm.height_mm(_ABOVE_MM)))
         arm.settle(_HOLD_S)
         self._zero = self._wrench()
-        self._sample(Probe.AIR)
+        self._sample(ProbeKind.AIR)
 
-    def _press(self, probe: Probe, steps: int, step_mm: float) -> None:
+    def _press(self, probe: ProbeKind, steps: int, step_mm: float) -> None:
         touched = self._descend()
         self._sample(probe)
         for step in range(1, steps + 1):
@@ -190,15 +190,15 @@ class _Prober:
         there = self._go_until(far, _WALL_MM_S, lambda felt: math.hypot(felt[0], felt[1]) > _WALL_N, "wall of the hole")
         for step in range(_WALL_STEPS):
             way_mm = step * _WALL_STEP_MM
-            self._go(there._replace(x_mm=there.x_mm + x * way_mm, y_mm=there.y_mm + y * way_mm), Probe.WALL)
-        self._go(middle, Probe.MIDDLE)
+            self._go(there._replace(x_mm=there.x_mm + x * way_mm, y_mm=there.y_mm + y * way_mm), ProbeKind.WALL)
+        self._go(middle, ProbeKind.MIDDLE)
 
     def _turn(self, middle: Pose, sign: int) -> None:
         far = middle._replace(rotation_deg=middle.rotation_deg + sign * _TURN_DEG)
         there = self._go_until(far, _WALL_MM_S, lambda felt: abs(felt[5]) > _TURN_NM, "wall of the hole, turning")
         for step in range(_WALL_STEPS):
-            self._go(there._replace(rotation_deg=there.rotation_deg + sign * step * _TURN_STEP_DEG), Probe.TURN)
-        self._go(middle, Probe.MIDDLE)
+            self._go(there._replace(rotation_deg=there.rotation_deg + sign * step * _TURN_STEP_DEG), ProbeKind.TURN)
+        self._go(middle, ProbeKind.MIDDLE)
 
     def _go_until(self, target: Pose, speed_mm_s: float, is_met: Callable[[Force], bool], name: str) -> Pose:
         if self._arm.go_until(target, speed_mm_s, lambda _sight, _pose: bool(is_met(self._felt()))) is None:
@@ -207,7 +207,7 @@ class _Prober:
             )
         return self._arm.pose()
 
-    def _go(self, target: Pose, probe: Probe) -> None:
+    def _go(self, target: Pose, probe: ProbeKind) -> None:
         self._arm.go(target)
         self._sample(probe)
 
@@ -220,7 +220,7 @@ class _Prober:
     def _felt(self) -> Force:
         return self._wrench() - self._zero
 
-    def _sample(self, probe: Probe, after_s: float = 0.0, wait_s: float = 0.1) -> None:
+    def _sample(self, probe: ProbeKind, after_s: float = 0.0, wait_s: float = 0.1) -> None:
         sight = self._arm.settle(wait_s)
         self._probing.samples.append(
             Sample(probe, self._arm.pose(), self._felt(), (sight.left, sight.right), after_s=after_s)

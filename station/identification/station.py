@@ -15,7 +15,7 @@ from ..twin.hidden import HiddenSettings
 from ..twin.structure import Branch, Difference, HiddenStructure, Tilt
 from .camera import FittedCamera, fit_camera
 from .mechanics import Estimate, fit_mechanics
-from .probes import Probe, Probing, play_probes
+from .probes import ProbeKind, Probing, play_probes
 
 _QUANTILE: Final = 1.96
 _TOUCH_MM: Final = 0.03
@@ -159,7 +159,7 @@ class _Relaxation(NamedTuple):
 
 def _fit_viscosity(probing: Probing) -> tuple[Branch | None, dict[str, Estimate]]:
     """Return the branch with which a held press relaxes, where it does."""
-    held = probing.of(Probe.HOLD)
+    held = probing.of(ProbeKind.HOLD)
     times_s = np.array([sample.after_s for sample in held])
     forces_n = np.array([float(np.linalg.norm(sample.wrench[:3])) for sample in held])
     best = min((_relax(times_s, forces_n, float(time_s)) for time_s in _RELAXATIONS_S), key=lambda each: each.left)
@@ -184,10 +184,10 @@ def _relax(times_s: NDArray[np.float64], forces_n: NDArray[np.float64], time_s: 
 
 def _fit_tilt(probing: Probing) -> dict[str, Estimate]:
     """Return the plate's tilt, from the heights at which the peg touches its four sides."""
-    press = probing.of(Probe.PRESS)
+    press = probing.of(ProbeKind.PRESS)
     z_mm, force_n = (np.array(each) for each in zip(*((s.axes.z_mm, s.wrench[2]) for s in press), strict=True))
     stiffness_n_mm = -float(np.polyfit(z_mm, force_n, 1)[0])
-    sides = probing.of(Probe.SIDE)
+    sides = probing.of(ProbeKind.SIDE)
     places_mm = np.array([(1.0, side.axes.x_mm, side.axes.y_mm) for side in sides])
     heights_mm = np.array([side.axes.z_mm + side.wrench[2] / stiffness_n_mm for side in sides])
     (_, slope_x, slope_y), *_ = np.linalg.lstsq(places_mm, heights_mm, rcond=None)

@@ -102,7 +102,7 @@ class FingerSprings:
 
 
 def grip_harder(hidden: HiddenSettings, factor: float) -> HiddenSettings:
-    """Return a twin whose gripper closes with so many times its force: the gels give way in proportion."""
+    """Return a twin whose gripper closes with a multiple of its force: the gels give way in proportion."""
     indentation_mm = min(max(hidden.indentation_mm * factor, _FLATTEST_MM), _DEEPEST_MM)
     return hidden.model_copy(update={"indentation_mm": indentation_mm})
 

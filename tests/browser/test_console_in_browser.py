@@ -90,12 +90,12 @@ def test_two_operators_play_a_trial_help_it_stop_the_next_and_release_the_statio
     check_all(other)
     number = player.operator.describe()["question"]["number"]
     accept.click()
-    told = other.evaluate(
+    refused = other.evaluate(
         "number => fetch('decide', {method: 'POST', body: JSON.stringify({number, decision: 'accept'})})"
         ".then(answer => answer.json())",
         number,
     )
-    assert told["error"] == "This was decided already (accept). Look at the page as it is now."
+    assert refused["error"] == "This was decided already (accept). Look at the page as it is now."
     expect(page.locator("#text")).to_contain_text("The peg hangs in free air.", timeout=LIMIT_MS)
     for camera in ("left", "right", "overview"):
         assert page.locator(f"[data-camera={camera}] img").evaluate("image => image.naturalWidth") > 0
@@ -133,7 +133,7 @@ def test_two_operators_play_a_trial_help_it_stop_the_next_and_release_the_statio
     accept.click()
     expect(page.locator("#text")).to_contain_text("The station is ready", timeout=LIMIT_MS)
     page.get_by_role("button", name="Refuse").click()
-    expect(page.locator("#told")).to_have_text("Say in the note why the trial is refused.")
+    expect(page.locator("#alert")).to_have_text("Say in the note why the trial is refused.")
     page.get_by_label("Note").fill("A cable is loose.")
     page.get_by_role("button", name="Refuse").click()
     (attempt,) = refused.result(60)

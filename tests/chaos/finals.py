@@ -28,7 +28,7 @@ import httpx
 import psycopg
 import yaml
 from disturbed_service import VITAC, DisturbedService, send
-from run import print_last_events, wait_until_ready
+from run import leave, wait_until_ready
 from vitac.cli.client.submit import packed
 from vitac.cli.demo.laboratory import TRACK, made_for_station, use_station_track
 from vitac.evaluator.episodes.records import EpisodeRecord
@@ -51,7 +51,7 @@ RECORDS = "SELECT submission_digest, task, episode, record FROM episode_results"
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--starts", type=int, default=10, help="so many starts, each played by all once")
+    parser.add_argument("--starts", type=int, default=10, help="how many starts, each played by all once")
     parser.add_argument("--minutes", type=float, default=30.0, help="how long it may take")
     parser.add_argument("--seed", type=int, default=1, help="of the kills and of what the twins hide")
     options = parser.parse_args()
@@ -66,13 +66,7 @@ def main() -> int:
         problems = list(play(service, options))
     finally:
         service.stop()
-        if problems:
-            print_last_events(folder)
-        else:
-            shutil.rmtree(folder)
-    for problem in problems:
-        print(f"FOUND {problem}")
-    print("found nothing" if not problems else f"the service events are in {folder}")
+        leave(folder, problems)
     return 1 if problems else 0
 
 
@@ -176,9 +170,7 @@ def disturb(service: DisturbedService, expected: int, options: argparse.Namespac
     kills: Counter[str] = Counter()
     while (done := count_done(service)) < expected and time.monotonic() < end:
         time.sleep(generator.uniform(*PAUSE_S))
-        if not names or (
-            done >= 0.9 * expected and min(kills[each] for each in kills) > 0 and len(kills) == len(names)
-        ):
+        if done >= CALM_FROM * expected and all(kills[each] for each in names):
             continue
         name = min(generator.sample(names, len(names)), key=lambda each: kills[each])
         pids = service.database_pids()[:1] if name == "database" else [service.pid(name) or 0]

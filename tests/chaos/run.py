@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -70,14 +70,19 @@ def main() -> int:
         with state_disk(folder) as has_small_disk:
             problems = disturb(DisturbedService(folder=folder, workers=options.workers), options, has_small_disk)
     finally:
-        if problems:
-            print_last_events(folder)
-        else:
-            shutil.rmtree(folder)
+        leave(folder, problems)
+    return 1 if problems else 0
+
+
+def leave(folder: Path, problems: Sequence[str]) -> None:
+    """Print what was found; the folder goes where that is nothing."""
+    if problems:
+        print_last_events(folder)
+    else:
+        shutil.rmtree(folder)
     for problem in problems:
         print(f"FOUND {problem}")
     print("found nothing" if not problems else f"the service events are in {folder}")
-    return 1 if problems else 0
 
 
 def print_last_events(folder: Path) -> None:

@@ -55,12 +55,12 @@ class BFloat16Storage: ...
 class _Storage:
     """What torch writes of a storage: five pickles, a count and the numbers."""
 
-    def __init__(self, numbers: NDArray[Any], kind: type) -> None:
-        self._numbers, self._kind = numbers, kind
+    def __init__(self, numbers: NDArray[Any], kind: type, padding: int) -> None:
+        self._numbers, self._kind, self._padding = numbers, kind, padding
 
     def __reduce__(self) -> tuple[Any, ...]:
         stream = io.BytesIO()
-        for value in (0x1950A86A20F9469CFC6C, 1001, {"little_endian": True}, self, ["7"]):
+        for value in (0x1950A86A20F9469CFC6C, 1001, [True] * self._padding, self, ["7"]):
             pickler = pickle.Pickler(stream, protocol=2)
             pickler.persistent_id = self._identity  # type: ignore[method-assign]
             pickler.dump(value)
@@ -74,12 +74,13 @@ class _Storage:
 class Tensor:
     """A row of a chunk, as torch pickles it."""
 
-    def __init__(self, numbers: Any, row: int = 0, kind: type = FloatStorage) -> None:
+    def __init__(self, numbers: Any, row: int = 0, kind: type = FloatStorage, padding: int = 0) -> None:
         self._numbers, self._row, self._kind = np.atleast_2d(np.asarray(numbers, np.float32)), row, kind
+        self._padding = padding
 
     def __reduce_ex__(self, _: object) -> tuple[Any, ...]:
         width = self._numbers.shape[1]
-        storage = _Storage(self._numbers.ravel(), self._kind)
+        storage = _Storage(self._numbers.ravel(), self._kind, self._padding)
         return _rebuild_tensor_v2, (storage, self._row * width, (width,), (1,), False, OrderedDict())
 
 

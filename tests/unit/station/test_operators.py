@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 from vitac.evaluator.episodes.records import HelpKind
 from vitac.station.guard import StationStopped
-from vitac.station.operators import Decision, DecisionRefused, Operator
+from vitac.station.operators import DecisionRefused, Operator, OperatorDecision
 
-CHOICES = (Decision.ACCEPT, Decision.REGRASP, Decision.REFUSE)
+CHOICES = (OperatorDecision.ACCEPT, OperatorDecision.REGRASP, OperatorDecision.REFUSE)
 
 
 def started(work: Callable[[], Any], operator: Operator) -> "Future[Any]":
@@ -29,17 +29,17 @@ def test_of_two_operators_the_first_decides_and_the_other_reads_so() -> None:
     operator = Operator(asks=True)
     asked = started(lambda: operator.ask("Begin?", CHOICES), operator)
     first = number(operator)
-    operator.decide(first, Decision.ACCEPT)
+    operator.decide(first, OperatorDecision.ACCEPT)
     with pytest.raises(DecisionRefused, match=r"This was decided already \(accept\)\. Look at the page as it is now\."):
-        operator.decide(first, Decision.ACCEPT)
-    assert asked.result(5) == (Decision.ACCEPT, "")
+        operator.decide(first, OperatorDecision.ACCEPT)
+    assert asked.result(5) == (OperatorDecision.ACCEPT, "")
     again = started(lambda: operator.ask("And now?", CHOICES), operator)
     with pytest.raises(DecisionRefused, match="decided already"):
-        operator.decide(first, Decision.REFUSE, "late")
+        operator.decide(first, OperatorDecision.REFUSE, "late")
     with pytest.raises(DecisionRefused, match="why the trial is refused"):
-        operator.decide(number(operator), Decision.REFUSE)
-    operator.decide(number(operator), Decision.REFUSE, " a hand ")
-    assert again.result(5) == (Decision.REFUSE, "a hand")
+        operator.decide(number(operator), OperatorDecision.REFUSE)
+    operator.decide(number(operator), OperatorDecision.REFUSE, " a hand ")
+    assert again.result(5) == (OperatorDecision.REFUSE, "a hand")
     operator.pause()
     for change, sentence in ((operator.pause, "paused already"), (lambda: operator.write_note(" "), "got nothing")):
         with pytest.raises(DecisionRefused, match=sentence):
@@ -75,7 +75,7 @@ def test_stop_ends_a_trial_that_waits_and_nothing_moves_before_it_is_released() 
     safe = started(lambda: operator.make_safe("An operator stopped it."), operator)
     with pytest.raises(DecisionRefused, match="stopped already"):
         operator.stop("Twice.")
-    operator.decide(number(operator), Decision.ACCEPT, "Took the cable away.")
+    operator.decide(number(operator), OperatorDecision.ACCEPT, "Took the cable away.")
     safe.result(5)
     operator.begin({})
     assert [(each.kind, each.at_s < 0.1, each.note) for each in operator.end()] == [
@@ -94,5 +94,5 @@ def test_agent_that_ends_gives_up_waiting_and_the_next_trial_waits_again() -> No
     assert operator.stop_reason == "A limit was passed."
     operator.open()
     again = started(lambda: operator.make_safe("A limit was passed."), operator)
-    operator.decide(number(operator), Decision.ACCEPT)
+    operator.decide(number(operator), OperatorDecision.ACCEPT)
     again.result(5)

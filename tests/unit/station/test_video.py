@@ -130,7 +130,7 @@ def chained_anew(frames: Frames) -> Frames:
         (give_other_picture, "The picture of frame 5 was changed"),
         (lambda frames: chained_anew(frames[:3] + frames[5:]), "Frames 1 to "),
     ],
-    ids=["cut", "cut end", "cut start", "swapped", "repeated", "delayed", "other picture", "chained anew"],
+    ids=["cut", "cut end", "cut start", "swapped", "repeated", "delayed", "other picture", "chained again"],
 )
 def test_each_manipulation_has_its_own_sentence(
     change: Callable[[Frames], Frames], sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -148,6 +148,12 @@ def long_rows() -> bytes:
     return pickle.dumps([TimedAction(0.0, number, row) for number in range(500)])
 
 
+def long_storage() -> bytes:
+    """One storage of many instructions, which each of many actions has."""
+    row = Tensor(np.zeros(3), padding=100_000)
+    return pickle.dumps([TimedAction(0.0, number, row) for number in range(500)])
+
+
 @pytest.mark.parametrize(
     "make",
     [
@@ -165,6 +171,7 @@ def long_rows() -> bytes:
         shared_tuples,
         named_by_shared_tuples,
         long_rows,
+        long_storage,
     ],
 )
 def test_pickle_that_is_no_answer_is_refused_at_once_and_nothing_of_it_runs(

@@ -6,7 +6,7 @@ from vitac.envs.tactile.gel import arena_gel_mesh
 from vitac.station.devices.stage import Pose
 from vitac.station.identification.camera import TooFewMarkers, fit_camera, undo_lens
 from vitac.station.identification.mechanics import Estimate
-from vitac.station.identification.probes import Probe, Probing, Sample
+from vitac.station.identification.probes import ProbeKind, Probing, Sample
 from vitac.station.identification.station import _draws, _fit_tilt, _fit_viscosity
 from vitac.station.perception.markers import MarkerFlow, cut_picture, find_centres
 from vitac.station.twin.gel_view import GelView, marker_grid, see_through_lens
@@ -15,7 +15,7 @@ from vitac.station.twin.hidden import HiddenSensor
 NO_MARKERS = MarkerFlow(np.zeros((0, 2)), np.zeros((0, 2)))
 
 
-def sample(probe: Probe, axes: tuple[float, float, float], force_n: float, after_s: float = 0.0) -> Sample:
+def sample(probe: ProbeKind, axes: tuple[float, float, float], force_n: float, after_s: float = 0.0) -> Sample:
     wrench = np.array((0.0, 0.0, force_n, 0.0, 0.0, 0.0))
     return Sample(probe, Pose(*axes, 0.0), wrench, (NO_MARKERS, NO_MARKERS), after_s)
 
@@ -47,7 +47,7 @@ def test_viscosity_is_seen_where_a_held_press_relaxes(ratio: float, is_seen: boo
     random = np.random.default_rng(1)
     times_s = 0.6 * np.arange(12)
     forces_n = 8.0 * (1.0 + ratio * np.exp(-times_s / 1.5)) + 0.005 * random.normal(size=12)
-    held = [sample(Probe.HOLD, (0.0, 0.0, 0.0), *each) for each in zip(forces_n, times_s, strict=True)]
+    held = [sample(ProbeKind.HOLD, (0.0, 0.0, 0.0), *each) for each in zip(forces_n, times_s, strict=True)]
     branch, estimates = _fit_viscosity(probing(*held))
     assert (branch is not None) == is_seen
     assert estimates["viscous_ratio"].value == pytest.approx(ratio, abs=0.01)
@@ -57,9 +57,9 @@ def test_viscosity_is_seen_where_a_held_press_relaxes(ratio: float, is_seen: boo
 
 def test_tilt_of_the_plate_follows_from_where_its_sides_are_touched() -> None:
     slope_x, slope_y, n_mm = 0.01, -0.02, 10.0
-    press = [sample(Probe.PRESS, (4.5, 0.0, -z), n_mm * z) for z in (0.0, 0.1, 0.2)]
+    press = [sample(ProbeKind.PRESS, (4.5, 0.0, -z), n_mm * z) for z in (0.0, 0.1, 0.2)]
     sides = [
-        sample(Probe.SIDE, (x, y, -40.0 + slope_x * x + slope_y * y - force / n_mm), force)
+        sample(ProbeKind.SIDE, (x, y, -40.0 + slope_x * x + slope_y * y - force / n_mm), force)
         for (x, y), force in zip(((4.5, 0.0), (0.0, 4.5), (-4.5, 0.0), (0.0, -4.5)), (1.0, 1.5, 0.8, 1.2), strict=True)
     ]
     tilt = _fit_tilt(probing(*press, *sides))
