@@ -100,9 +100,12 @@ def check(submission: Path, remote: str | None = None, *, is_image: bool = False
 
 def _check_sensor(staged: Path, findings: Findings) -> bool:
     """Make the sensor as the service does at the upload, and return whether it follows every rule."""
+    from vitac.evaluator.figures.starts import CONTINUUM_NODES, continuum_error
     from vitac.evaluator.sensors.manifest import SensorRejected
     from vitac.evaluator.sensors.package import design_document
     from vitac.evaluator.submission.sensor import make_sensor
+
+    from .terminal.compiling import compiling_shown
 
     try:
         document = design_document(staged)
@@ -111,6 +114,14 @@ def _check_sensor(staged: Path, findings: Findings) -> bool:
         findings.refused.append(str(error))
         return False
     findings.passed.append(f"the sensor follows every rule: {made.facts.nodes} nodes, digest {made.digest}")
+    with compiling_shown():
+        mesh_error = continuum_error(made.design())
+    if mesh_error is not None:
+        findings.passed.append(
+            f"under pins its markers' motion is {mesh_error:.0%} (RMS) off that of the same gel with "
+            f"{CONTINUUM_NODES:g} times the nodes, which stands for its continuum; a finer mesh is closer, "
+            "and takes longer to simulate"
+        )
     findings.passed.append(f"the design document is included: {document.path.name}")
     return True
 

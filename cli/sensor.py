@@ -19,8 +19,6 @@ app = typer.Typer(no_args_is_help=True)
 
 # In the list of each run; `vitac sensor mesh` says what one costs.
 _EPISODES = 270
-# Nodes of the mesh that stands for the continuum, of those of the gel's.
-_FINER = 8.0
 _TASK, _OWN, _STANDARD = "peg-insertion", "sensor-design", "sensor-standard"
 
 Folder = Annotated[Path, typer.Argument(help="Folder with sensor.yaml and gel.stl.", exists=True, file_okay=False)]
@@ -62,9 +60,7 @@ def mesh(
     as_json: AsJson = False,
 ) -> None:
     """Mesh the gel of a sensor as the service does, and print the result."""
-    from vitac.envs.scene.grasped_scene import PhysicsSettings
-    from vitac.evaluator.figures.starts import refined_design
-    from vitac.evaluator.figures.touch import mesh_error
+    from vitac.evaluator.figures.starts import continuum_error
     from vitac.evaluator.sensors.check import accepted_sensor
     from vitac.evaluator.sensors.cost import expected_cpu_s
 
@@ -77,11 +73,8 @@ def mesh(
         found = accepted_sensor(sensor)
         assert found.meshed is not None  # noqa: S101 - of every accepted sensor
         assert found.design is not None  # noqa: S101
-        meshed, physics = found.meshed, PhysicsSettings()
-        finer = refined_design(found.design, _FINER)
-        error = mesh_error(
-            found.design, finer, youngs_modulus_pa=physics.youngs_modulus_pa, poisson_ratio=physics.poisson_ratio
-        )
+        meshed = found.meshed
+        error = continuum_error(found.design)
     facts = {
         "digest": meshed.digest,
         "mesh": "tet.msh" if meshed.is_own else "generated",

@@ -59,10 +59,12 @@ def run(
 
     plan = read_recipe(recipe)
     if identified:
+        from vitac.envs.fem.model.settings import ContactModel
         from vitac.evaluator.strict_model import read_yaml
         from vitac.station.identification.station import IdentifiedStation
 
-        plan = plan.model_copy(update={"draws": read_yaml(IdentifiedStation, identified).draws})
+        station = {"contact_model": ContactModel.ARENA_2, "draws": read_yaml(IdentifiedStation, identified).draws}
+        plan = plan.model_copy(update=station)
     training = Run(recipe=plan, folder=Folder(path=out), processes=processes, ray=ray, tell=_tell)
     with _training(out):
         results = training.go()

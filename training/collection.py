@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from vitac.envs.fem.model.settings import ContactModel
 from vitac.envs.tasks.settings import Fidelity
 from vitac.evaluator.version import evaluator_hash
 
@@ -119,6 +120,7 @@ class CollectedBatch:
         count: how many.
         noise: largest spread of the noise on the actions of student and critic.
         fidelity: of the simulation.
+        contact_model: of the environment.
         draws: quantities that differ from episode to episode, with their lowest and highest values.
     """
 
@@ -129,6 +131,7 @@ class CollectedBatch:
     count: int
     noise: float = 0.0
     fidelity: Fidelity = Fidelity.FULL
+    contact_model: ContactModel = ContactModel.CHALLENGE_2025
     draws: tuple[tuple[str, float, float], ...] = ()
 
 
@@ -249,9 +252,11 @@ _ENVIRONMENTS: dict[tuple[Any, ...], Any] = {}
 
 
 def _environment(batch: CollectedBatch) -> Any:
-    key = os.getpid(), batch.fidelity, batch.draws
+    key = os.getpid(), batch.fidelity, batch.contact_model, batch.draws
     if key not in _ENVIRONMENTS:
-        draws = {name: (low, high) for name, low, high in batch.draws}
-        drawn = {"contact_model": "arena-2", "draws": draws} if draws else {}
-        _ENVIRONMENTS[key] = make_environment(fidelity=batch.fidelity.value, **drawn)
+        _ENVIRONMENTS[key] = make_environment(
+            fidelity=batch.fidelity.value,
+            contact_model=batch.contact_model.value,
+            draws={name: (low, high) for name, low, high in batch.draws} or None,
+        )
     return _ENVIRONMENTS[key]

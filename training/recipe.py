@@ -1,10 +1,10 @@
 """What a training run does, as a file: every key is checked, an unknown one names the nearest valid one."""
 
-import hashlib
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
+from vitac.envs.fem.model.settings import ContactModel
 from vitac.envs.tasks.settings import Fidelity
 from vitac.evaluator.strict_model import StrictModel, read_yaml
 
@@ -25,8 +25,10 @@ class Recipe(StrictModel):
     """Seed of the streams of starts and of all that is drawn while learning."""
     fidelity: Fidelity = Fidelity.FULL
     """Of the simulation that is learned from; rounds are judged at full fidelity."""
+    contact_model: ContactModel = ContactModel.CHALLENGE_2025
+    """Of all episodes, those by which rounds are judged too."""
     draws: dict[str, tuple[float, float]] = Field(default_factory=dict)
-    """Quantities drawn for each episode, by name, under the contact model `arena-2`; without any as in 2025."""
+    """Quantities drawn for each episode, by name; without any as in 2025."""
     random_episodes: Count = 1500
     """Episodes of the actor with random motions."""
     guided_episodes: Count = 1500
@@ -58,11 +60,6 @@ class Recipe(StrictModel):
         if isinstance(content, dict) and content.get("task") == "lock-opening":
             raise ValueError("a policy for lock-opening is searched; run `vitac train search` with this recipe")
         return content
-
-    def digest(self) -> str:
-        """Return the SHA-256 [hex] of all values."""
-        absent = None if self.draws else {"draws"}
-        return hashlib.sha256(self.model_dump_json(exclude=absent).encode()).hexdigest()
 
 
 def read_recipe(path: Path) -> Recipe:

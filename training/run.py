@@ -200,6 +200,7 @@ class Run:
             count=count,
             noise=noise,
             fidelity=fidelity,
+            contact_model=self.recipe.contact_model,
             draws=tuple((name, low, high) for name, (low, high) in sorted(self.recipe.draws.items())),
         )
 

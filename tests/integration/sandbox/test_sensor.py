@@ -117,5 +117,6 @@ def test_check_plays_a_sensor_with_the_estimator(folder: Path, monkeypatch: pyte
     findings = check(folder)
     assert findings.refused == []
     assert any(text.startswith("the sensor follows every rule: 294 nodes, digest ") for text in findings.passed)
+    assert any(text.startswith("under pins its markers' motion is 45% (RMS) off") for text in findings.passed)
     assert "the design document is included: design.md" in findings.passed
     assert played == [("sensor-standard", True)]

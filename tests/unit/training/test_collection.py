@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from toy_peg import ToyPeg
+from vitac.envs.fem.model.settings import ContactModel
 from vitac.training.collection import FILE_EPISODES, ActorKind, CollectedBatch, Networks, _versions, collect
 from vitac.training.episodes import TASK
 from vitac.training.learning.critic import Critic, CriticPlan
@@ -78,7 +79,14 @@ def test_episodes_are_those_of_the_stream(tmp_path: Path, toy: list[ToyPeg]) -> 
 
 @pytest.mark.parametrize(
     "change",
-    [{"seed": 2}, {"use": Use.CHOOSE}, {"kind": ActorKind.GUIDED}, {"first": 1}, {"noise": 0.1}],
+    [
+        {"seed": 2},
+        {"use": Use.CHOOSE},
+        {"kind": ActorKind.GUIDED},
+        {"first": 1},
+        {"noise": 0.1},
+        {"contact_model": ContactModel.ARENA_2},
+    ],
 )
 def test_other_episodes_have_other_files(tmp_path: Path, change: dict[str, object]) -> None:
     batch = replace(BATCH, count=2)

@@ -36,6 +36,7 @@ def test_values_reach_the_learners(tmp_path: Path) -> None:
         ("task: peg-insertion\nseed: -1\n", "seed: Input should be greater than or equal to 0"),
         ("task: peg-insertion\nseed: 3\nrounds: 0\n", "rounds: Input should be greater than or equal to 1"),
         ("task: peg-insertion\nseed: 3\nnoise: .nan\n", "noise"),
+        ("task: peg-insertion\nseed: 3\ncontact_model: arena-1\n", "contact_model: Input should be .* or 'arena-2'"),
         ("task: peg-insertion\nseed: 3\nseed: 4\n", "given twice"),
         ("- 1\n", "recipe.yaml"),
         ("task: lock-opening\nseed: 3\ngenerations: 2\n", r"is searched; run `vitac train search` with this recipe\.$"),
@@ -44,10 +45,3 @@ def test_values_reach_the_learners(tmp_path: Path) -> None:
 def test_mistakes_are_named(tmp_path: Path, text: str, told: str) -> None:
     with pytest.raises(DocumentRejected, match=told):
         read(tmp_path, text)
-
-
-def test_draws_make_another_recipe(tmp_path: Path) -> None:
-    plain = read(tmp_path, "task: peg-insertion\nseed: 3\n")
-    drawn = read(tmp_path, "task: peg-insertion\nseed: 3\ndraws: {gel_friction: [0.8, 0.9]}\n")
-    assert drawn.draws == {"gel_friction": (0.8, 0.9)}
-    assert plain.digest() != drawn.digest()

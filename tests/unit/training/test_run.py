@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 from toy_peg import ToyPeg
-from vitac.envs.tasks.settings import Fidelity
 from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.version import evaluator_parts
 from vitac.training.files import FileDamaged
@@ -385,18 +384,28 @@ def test_killed_run_goes_on_to_the_same_bits(tmp_path: Path, count: int) -> None
     assert files(killed) == files(whole)
 
 
-def test_a_recipe_is_learned_from_at_its_fidelity_and_judged_at_full(
+def test_a_recipe_is_learned_from_at_its_fidelity_and_judged_at_full_under_its_contact_model_and_draws(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made: dict[str, ToyPeg] = {}
+    worlds = []
 
-    def make(fidelity: str) -> ToyPeg:
+    def make(fidelity: str, **world: object) -> ToyPeg:
         made[fidelity] = ToyPeg()
+        worlds.append(world)
         return made[fidelity]
 
     monkeypatch.setattr("vitac.training.collection.make_environment", make)
     go_at_training = run(tmp_path)
-    go_at_training.recipe = go_at_training.recipe.model_copy(update={"fidelity": Fidelity.TRAINING})
+    go_at_training.recipe = Recipe.model_validate(
+        {
+            **go_at_training.recipe.model_dump(),
+            "fidelity": "training",
+            "contact_model": "arena-2",
+            "draws": {"clearance_mm": [1.0, 2.0]},
+        }
+    )
     go_at_training.go()
     streams = {fidelity: {seed for seed, _ in toy.resets} for fidelity, toy in made.items()}
     assert streams == {"training": {stream(2, Use.COLLECT)}, "full": {stream(2, Use.CHOOSE)}}
+    assert worlds == 2 * [{"contact_model": "arena-2", "draws": {"clearance_mm": (1.0, 2.0)}}]
