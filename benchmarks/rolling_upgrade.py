@@ -40,7 +40,7 @@ from vitac.server.services import Services
 from vitac.server.settings import OutdatedRule
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = ("cli", "docs", "envs", "evaluator", "migrations", "server", "station", "training", "web", "worker")
+FOLDERS = ("cli", "docs", "envs", "errors", "evaluator", "migrations", "server", "station", "training", "web", "worker")
 VITAC = "import sys; from vitac.cli.main import main; main(sys.argv[1:])"
 LOOK_S = 0.2
 MIGRATION = '''

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from .client.answers import pick
 from .client.http import make_client

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from .compare import OtherEpisodes, read_evaluated
 from .terminal.output import AsJson, print_json, print_table

@@ -8,6 +8,7 @@ from io import TextIOWrapper
 from typing import Annotated
 
 import typer
+from vitac.errors import VitacError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,11 +125,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             raise
         print(f"vitac: {explain_missing(error.name or '', extra)}", file=sys.stderr)
         sys.exit(1)
-    except Exception as error:
-        from vitac.envs.errors import VitacError  # not above: with it comes Gymnasium, which `--help` does without
-
-        if not isinstance(error, VitacError):
-            raise
+    except VitacError as error:
         print(f"vitac: {error}", file=sys.stderr)
         sys.exit(1)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from .client.http import make_client
 from .receipt.published_log import open_log

@@ -9,7 +9,8 @@ from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
 
-from .errors import VitacError
+from vitac.errors import VitacError
+
 from .fem.model.mesh import GelMesh, SurfaceMesh
 from .geometry.stl import read_stl
 from .tactile.design import SensorDesign

@@ -9,7 +9,7 @@ from importlib.metadata import requires
 from importlib.util import find_spec
 from shlex import quote
 
-from .errors import VitacError
+from vitac.errors import VitacError
 
 _DISTRIBUTIONS = {
     "PIL": "pillow",

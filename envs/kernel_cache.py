@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Self
 
-from .errors import VitacError
+from vitac.errors import VitacError
 
 _LOG = logging.getLogger("vitac.envs.compilation")
 _NAME = "kernels"

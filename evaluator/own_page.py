@@ -12,7 +12,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 HOST: Final = "127.0.0.1"
 MAX_BODY_BYTES: Final = 4096

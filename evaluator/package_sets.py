@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from .strict_model import StrictModel, read_yaml
 

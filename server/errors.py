@@ -8,7 +8,7 @@ from enum import StrEnum
 from http import HTTPStatus
 from types import MappingProxyType
 
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 
 class ProblemCode(StrEnum):

@@ -277,6 +277,14 @@ class Settings(BaseSettings):
             raise ValueError("VITAC_REGISTRATION is invite, so set VITAC_INVITE_CODE, too")
         return self
 
+    @field_validator("database_url", "database_owner_url")
+    @classmethod
+    def _is_an_address_of_postgresql(cls, url: SecretStr | None) -> SecretStr | None:
+        scheme = url and urlsplit(url.get_secret_value()).scheme
+        if scheme not in (None, "postgresql", "postgres"):
+            raise ValueError(f"expected postgresql://USER@HOST:PORT/NAME, got the scheme {scheme!r}")
+        return url
+
     @field_validator("mail_url")
     @classmethod
     def _is_known_kind_of_mail(cls, url: SecretStr | None) -> SecretStr | None:

@@ -11,8 +11,8 @@ from functools import cache
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
-from vitac.envs.errors import VitacError
 from vitac.envs.extras import explain_missing
+from vitac.errors import VitacError
 
 if TYPE_CHECKING:
     from opentelemetry.sdk.trace import TracerProvider

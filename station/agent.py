@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from pydantic import JsonValue
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.evaluator.agent.isolation.packages import installed_packages
 from vitac.evaluator.agent.session import Isolation
 from vitac.evaluator.agent.verdicts import PolicyFailed

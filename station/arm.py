@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from typing import Final
 
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from .description import StagePose
 from .devices.gripper import Grasp, GripperStatus

@@ -6,7 +6,7 @@ from enum import StrEnum
 from itertools import product
 from typing import Final
 
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from .description import (
     Calibration,

@@ -13,7 +13,7 @@ from threading import Condition, Thread
 from time import sleep, time_ns
 from typing import Final, NamedTuple, Self
 
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from .description import Procedure, Release, StationDescription
 from .devices.cameras import AnyDepthCamera, GelSightCamera, Picture, open_depth_camera

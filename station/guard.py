@@ -14,7 +14,7 @@ from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from .description import StationLimits
 from .devices.force_torque import ForceTorqueSensor, Wrench

@@ -11,7 +11,7 @@ from threading import Condition
 from time import monotonic, sleep
 from typing import Any, Final
 
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.evaluator.episodes.records import HelpKind, HumanHelp
 
 from .guard import StationStopped

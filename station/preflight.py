@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from .devices.stage import GrblState
 from .eyes import OpenStation

@@ -6,8 +6,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.assets import Meshes
-from vitac.envs.errors import VitacError
 from vitac.envs.scene.gripper import SensorPose
+from vitac.errors import VitacError
 from vitac.evaluator.scoring.gap import Measured
 from vitac.evaluator.strict_model import StrictModel
 

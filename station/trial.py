@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.evaluator.agent.verdicts import PolicyFailed
 from vitac.evaluator.episodes.episode import OpenSession, Policy
 from vitac.evaluator.episodes.reading import Reading

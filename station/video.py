@@ -15,7 +15,7 @@ from typing import Any, BinaryIO, Final, NamedTuple, Self
 
 import numpy as np
 from pydantic import NonNegativeInt, PositiveInt
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.evaluator.episodes.records import StateHash, TrialVideo, canonical_json
 from vitac.evaluator.strict_model import StrictModel
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from pydantic import NonNegativeFloat, NonNegativeInt, PositiveInt, TypeAdapter, ValidationError
-from vitac.envs.errors import VitacError
 from vitac.envs.tasks.settings import FIDELITY, Fidelity
+from vitac.errors import VitacError
 from vitac.evaluator.scoring.score import interval_of_seeds, rate
 from vitac.evaluator.strict_model import StrictModel
 

@@ -5,7 +5,7 @@ import shutil
 from pathlib import Path
 
 import numpy as np
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from .episodes import TASK
 from .files import load, write_bytes, write_text

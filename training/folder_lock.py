@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from fcntl import LOCK_EX, LOCK_NB, flock
 from pathlib import Path
 
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from .files import not_saved
 

@@ -15,8 +15,8 @@ from itertools import islice
 from multiprocessing import active_children, get_context
 from typing import Any, TypeVar
 
-from vitac.envs.errors import VitacError
 from vitac.envs.extras import require_extra
+from vitac.errors import VitacError
 from vitac.evaluator.parent_death import end_with_parent
 from vitac.evaluator.version import evaluator_hash, platform_class, sources_hash
 

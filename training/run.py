@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from vitac.envs.errors import VitacError
 from vitac.envs.tasks.settings import Fidelity
+from vitac.errors import VitacError
 from vitac.evaluator.scoring.score import Rate, rate
 from vitac.evaluator.tracks.registry import differing_parts
 from vitac.evaluator.version import evaluator_parts, sources_hash

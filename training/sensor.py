@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.evaluator.sensors.check import accepted_sensor
 from vitac.evaluator.sensors.made import MadeSensor, made_sensor
 from vitac.evaluator.tracks import Track

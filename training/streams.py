@@ -6,7 +6,7 @@ and their starts are drawn, so that training sees no official episode; a stream 
 
 from enum import IntEnum
 
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.evaluator.tracks import list_tracks, load_track
 
 FIRST_STREAM = 1_000_000

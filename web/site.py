@@ -16,7 +16,7 @@ from sqlalchemy.orm import Session
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.server.accounts import tokens
 from vitac.server.api.conditional import answer
 from vitac.server.cache import Cache

@@ -12,7 +12,7 @@ from typing import ClassVar, Generic, Protocol, TypeVar
 
 import structlog
 from sqlalchemy.orm import Session
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.evaluator.tracks.sealed import write_secret
 from vitac.server.competitions.sealing import find_secret
 from vitac.server.errors import ProblemCode, ServiceError

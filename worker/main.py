@@ -13,8 +13,8 @@ from uuid import UUID
 import structlog
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
-from vitac.envs.errors import VitacError
 from vitac.envs.tasks.definition import Family
+from vitac.errors import VitacError
 from vitac.evaluator.agent.isolation.gpu import find_gpu
 from vitac.evaluator.agent.isolation.memory_files import FILES_VARIABLE, FileIsolation
 from vitac.evaluator.agent.verdicts import SandboxFailed

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sqlalchemy.exc import DBAPIError
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.server.database.availability import DatabaseUnreachable
 from vitac.server.queue.work import count_open
 from vitac.server.services import Services

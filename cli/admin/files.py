@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from ..client.verbs import NOTHING_CHANGED, DryRun, Yes, print_fields
 from ..terminal.output import AsJson, TokenFile, print_json, print_record

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from ..terminal.output import AsJson, Server, TokenFile, print_json, print_pairs, print_records
 from . import credentials

@@ -8,7 +8,7 @@ from dataclasses import fields
 from typing import Any, TypeVar
 
 import httpx
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 T = TypeVar("T")
 HINTS = {

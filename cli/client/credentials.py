@@ -11,7 +11,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 FILE = "vitac/credentials.json"
 

@@ -15,7 +15,7 @@ from types import MappingProxyType
 from typing import Any
 
 import httpx
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.evaluator.submission_kinds import SubmissionKind
 
 from . import credentials

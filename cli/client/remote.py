@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 from urllib.parse import urlsplit, urlunsplit
 
 import typer
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from ..evaluate import Image, check_lines, find_playing_kind
 from ..terminal.output import Server, TokenFile, existing, warn

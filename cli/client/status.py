@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Annotated, TypeVar
 
 import typer
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from ..terminal.output import AsJson, Server, TokenFile, percent, print_json, print_pairs, print_table
 from .answers import RequestRefused, ServiceUnreachable

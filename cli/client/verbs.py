@@ -21,7 +21,7 @@ from urllib.parse import quote
 from uuid import UUID
 
 import typer
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from ..terminal.output import AsJson, Server, TokenFile, moment, print_json, print_pairs, print_records, warn
 from .answers import Answer, decode

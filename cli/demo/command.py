@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from vitac.envs.errors import VitacError
-from vitac.server.settings import Settings
+from vitac.errors import VitacError
 
 from ..client.http import Client, Json
 from ..client.progress import EvaluationProgress
@@ -28,6 +27,7 @@ from .display import INDENT, TEAM, TOKEN_FILE, DemoDisplay, team_token
 
 if TYPE_CHECKING:
     from vitac.server.database.models import Worker
+    from vitac.server.settings import Settings
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "peg_insertion_trained"
 MAX_SLOTS = 4
@@ -120,7 +120,7 @@ class Demo:
         log: file descriptor for service events.
     """
 
-    settings: Settings
+    settings: "Settings"
     display: DemoDisplay
     stop: StopRequest
     submission: Path

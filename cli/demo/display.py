@@ -17,13 +17,13 @@ from rich.padding import Padding
 from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
-from sqlalchemy.orm import Session
-from vitac.server.database.engine import Database
 
 from ..client.http import Json
 from ..terminal.output import percent, program_name
 
 if TYPE_CHECKING:
+    from sqlalchemy.orm import Session
+    from vitac.server.database.engine import Database
     from vitac.server.database.models import Team
 
 INDENT = 2

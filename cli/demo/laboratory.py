@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Final
 
 import yaml
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.server.settings import Settings
 
 from ..client.http import Client

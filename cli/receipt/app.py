@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from ..client.answers import decode, decode_object
 from ..client.http import make_client

@@ -1,16 +1,18 @@
 """Opens the service's database and files for the commands that work on them directly: `serve`, `demo`, `admin`."""
 
+from __future__ import annotations
+
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
-
-from vitac.server.database.availability import failures_explained
-from vitac.server.services import Services
-from vitac.server.settings import Settings
+from typing import TYPE_CHECKING, Any
 
 from ..terminal.output import warn
 from .web_server import keep_events_off_output
+
+if TYPE_CHECKING:
+    from vitac.server.services import Services
+    from vitac.server.settings import Settings
 
 SAID_AFTER_S = 10.0
 """Time after which a command says that it waits for the database."""
@@ -54,6 +56,8 @@ def open_for_command() -> Iterator[Services]:
     Raises:
         DatabaseUnreachable: it does not answer, is lost meanwhile, or a statement takes too long, as behind a lock.
     """
+    from vitac.server.database.availability import failures_explained
+
     with (
         _said_if_slow(),
         failures_explained(STATEMENT_TIMEOUT_S),

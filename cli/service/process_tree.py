@@ -1,20 +1,23 @@
 """Runs the whole service as one process tree: database, HTTP server, workers. Called by `serve` and `demo`."""
 
+from __future__ import annotations
+
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from typing import IO
-
-from vitac.server.database.engine import Database
-from vitac.server.services import Services
-from vitac.server.settings import Settings
+from typing import IO, TYPE_CHECKING
 
 from . import process_pool, web_process
 from .database import open_service
 from .process_pool import ProcessPool
 from .web_process import STATEMENT_TIMEOUT_S, serving
 from .web_server import format_address
+
+if TYPE_CHECKING:
+    from vitac.server.database.engine import Database
+    from vitac.server.services import Services
+    from vitac.server.settings import Settings
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,15 +1,17 @@
 """`vitac serve`: runs the service on this machine."""
 
 import sys
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from vitac.server.settings import Settings
 
 from .database import load_settings
 from .process_tree import running_service
 from .stop_request import StopRequest
 from .web_server import bind, configure_events
+
+if TYPE_CHECKING:
+    from vitac.server.settings import Settings
 
 
 def command(
@@ -36,7 +38,7 @@ def command(
         print("stopping", flush=True)
 
 
-def _require_public_url(settings: Settings) -> None:
+def _require_public_url(settings: "Settings") -> None:
     """Refuse to serve other machines without knowing how they call this one: links never follow a request's header.
 
     Raises:

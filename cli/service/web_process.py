@@ -3,6 +3,8 @@
 `process_tree` starts them. They use the database, which stays with the process that started them.
 """
 
+from __future__ import annotations
+
 import signal
 import socket
 import sys
@@ -10,14 +12,17 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.client import HTTPConnection, HTTPException
+from typing import TYPE_CHECKING
 
 from vitac.evaluator.parent_death import end_with_parent
-from vitac.server.services import Services
 
 from .database import load_settings
 from .process_pool import ProcessPool
 from .stop_request import StopRequest
 from .web_server import BACKLOG, START_LIMIT_S, ServerDidNotStart, WebServer, configure_events, no_collections
+
+if TYPE_CHECKING:
+    from vitac.server.services import Services
 
 COMMAND = ("-c", "import sys; from vitac.cli.service.web_process import main; main(*map(int, sys.argv[1:]))")
 POLL_S = 0.05

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vitac.envs.errors import VitacError
 from vitac.envs.maniskill.definition import is_maniskill
+from vitac.errors import VitacError
 
 from ..terminal.output import warn
 from ..terminal.own_policy import fall_back_where_nothing_isolates

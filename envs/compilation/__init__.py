@@ -6,8 +6,7 @@ from functools import cache
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
-
-from ..errors import require_compilation
+from vitac.errors import require_compilation
 
 TRIED = ("0.68",)
 """Versions of Numba whose private classes `numba_internals` fits."""

@@ -4,8 +4,8 @@ from pkgutil import resolve_name
 
 import numpy as np
 from numpy.typing import NDArray
+from vitac.errors import VitacError
 
-from ..errors import VitacError
 from ..scene.perspective import NextAction, Perspective
 from ..tasks.registry import task_definitions
 

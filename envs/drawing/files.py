@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 from PIL.TiffImagePlugin import AppendingTiffWriter
-
-from ..errors import VitacError
+from vitac.errors import VitacError
 
 Picture = NDArray[np.uint8]
 

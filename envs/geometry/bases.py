@@ -9,8 +9,8 @@ from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
+from vitac.errors import VitacError
 
-from ..errors import VitacError
 from ..fem.model.mesh import SurfaceMesh
 from .pegs import PEG_HEIGHT_MM
 from .solid import Face, Polygon, as_polygon, nearest_vertices, prism_faces, rectangle, solid_from_faces

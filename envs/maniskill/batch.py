@@ -13,8 +13,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from vitac.errors import VitacError
 
-from ..errors import VitacError
 from ..tasks.settings import RNG_SEED, read_task_settings
 from .definition import PREFIX, ManiSkillSettings, catalogue
 from .env import ManiSkillEnv, made

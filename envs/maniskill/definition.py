@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from vitac.errors import VitacError
 
-from ..errors import VitacError
 from ..observable import Observable
 from ..tasks.definition import ActionComponent, Family, TaskDefinition
 from ..tasks.settings import nearest, read_task_settings

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from vitac.errors import VitacError
 
-from ..errors import VitacError
 from ..extras import install_command
 from ..tasks.definition import EndReason, chosen_observables
 from ..tasks.settings import RNG_SEED, read_task_settings, refuse_unknown, seeded_generator

@@ -13,8 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-from ..errors import VitacError
+from vitac.errors import VitacError
 
 MAGIC: Final = b"VITACPB1"
 _LENGTH = struct.Struct("<I")

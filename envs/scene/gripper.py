@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from vitac.errors import VitacError
 
 from ..compilation import allocating_kernel
 from ..deterministic_math import sine_cosine
-from ..errors import VitacError
 from ..fem.model.mesh import GelMesh
 
 FloatArray = NDArray[np.float64]

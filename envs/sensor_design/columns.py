@@ -12,8 +12,8 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from vitac.errors import VitacError
 
-from ..errors import VitacError
 from .plane_mesh import Edge, Triangle
 
 FloatArray = NDArray[np.float64]

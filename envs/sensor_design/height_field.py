@@ -9,9 +9,9 @@ from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
+from vitac.errors import VitacError
 
 from ..compilation import allocating_kernel, kernel
-from ..errors import VitacError
 from .plane_mesh import GRID_PER_MM, PlaneMesh, Point, TooManyPoints
 from .surface import DrawnSurface, first_within, heights_mm
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from vitac.errors import VitacError
 
-from ..errors import VitacError
 from .columns import Columns
 from .crossings import farthest
 from .height_field import HeightField, Line, add_outlines, convert_to_mm, heights_of_faces_mm, snap_to_grid

@@ -9,7 +9,7 @@ of a point: Bowyer (1981), Watson (1981).
 import heapq
 from math import sqrt
 
-from ..errors import VitacError
+from vitac.errors import VitacError
 
 Point = tuple[int, int]
 Edge = tuple[int, int]

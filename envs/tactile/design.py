@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from vitac.errors import VitacError
 
 from ..compilation import allocating_kernel
-from ..errors import VitacError
 from ..fem.algebra import Vec3, cross, dot, load, subtract
 from ..fem.model.mesh import GelMesh
 from .camera import CameraIntrinsics, FacePlaces, camera_frame, places_on_faces, project

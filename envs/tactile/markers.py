@@ -17,10 +17,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from vitac.errors import VitacError
 
 from ..compilation import allocating_kernel, kernel
 from ..deterministic_math import normal_pairs, sine_cosine
-from ..errors import VitacError
 from ..fem.model.mesh import GelMesh
 from .camera import CHALLENGE_CAMERA, CameraIntrinsics, project
 from .gel import MARKER_COUNT

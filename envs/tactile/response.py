@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from vitac.errors import VitacError
 
-from ..errors import VitacError
 from ..fem.elastic.neo_hookean import lame_parameters_pa
 from ..fem.linear.elimination import factorise, new_factor, substitute
 from ..fem.linear.system import NO_PLACE, gel_block_places, system_layout

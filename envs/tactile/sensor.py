@@ -2,8 +2,8 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from vitac.errors import VitacError
 
-from ..errors import VitacError
 from ..fem.model.mesh import GelMesh
 from .camera import (
     CHALLENGE_CAMERA,

@@ -11,7 +11,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from pkgutil import iter_modules
 
-from ..errors import VitacError
+from vitac.errors import VitacError
+
 from .definition import TaskDefinition
 
 ENTRY_POINT_GROUP = "vitac.tasks"

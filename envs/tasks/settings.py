@@ -8,8 +8,8 @@ from math import isfinite
 from typing import Any, TypeVar
 
 import numpy as np
+from vitac.errors import VitacError
 
-from ..errors import VitacError
 from ..fem.model.settings import ArenaContactSettings, ContactModel
 
 Settings = TypeVar("Settings")

@@ -16,9 +16,9 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar, cast
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
+from vitac.errors import VitacError
 
 from ..assets import Meshes
-from ..errors import VitacError
 from ..fem import SOLVER_VERSION
 from ..fem.model.mesh import GelMesh, SurfaceMesh
 from ..fem.model.settings import ContactModel

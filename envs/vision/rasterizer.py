@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from vitac.errors import VitacError
 
 from ..compilation import kernel, large_kernel
-from ..errors import VitacError
 from ..fem.algebra import Vec3, cross, dot, load, subtract
 from .optics import Intrinsics
 

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from .verdicts import PolicyFailed, SandboxFailed, VerdictCode
 

@@ -3,7 +3,7 @@
 import re
 from enum import StrEnum
 
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 
 class VerdictCode(StrEnum):

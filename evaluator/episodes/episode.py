@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import JsonValue
-from vitac.envs.errors import VitacError
 from vitac.envs.maniskill.definition import is_maniskill
+from vitac.errors import VitacError
 
 from ..agent.protocol.frames import CloudSpec
 from ..agent.session import Isolation

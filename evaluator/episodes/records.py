@@ -24,7 +24,7 @@ from pydantic import (
     model_serializer,
     model_validator,
 )
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from ..agent.verdicts import VerdictCode
 from ..strict_model import StrictModel, Word

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Literal, TypeVar
 
 from pydantic import NonNegativeInt, ValidationError, field_validator
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from ..episodes.records import NOT_HASHED, EpisodeRecord, Manifest, canonical_json
 from ..strict_model import StrictModel, Word, explain

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import JsonValue
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from ..episodes.records import EpisodeRecord
 from ..tracks import Episode, Task

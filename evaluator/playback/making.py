@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Final
 
 from pydantic import NonNegativeInt
-from vitac.envs.errors import VitacError
 from vitac.envs.maniskill.definition import is_maniskill
 from vitac.envs.tasks.definition import Family
+from vitac.errors import VitacError
 
 from ..episodes.episode import make_environment
 from ..episodes.records import EpisodeRecord

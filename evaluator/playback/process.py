@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 from pydantic import ValidationError
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from .making import PlaybackMessage, PlaybackOrder
 

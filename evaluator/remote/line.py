@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from typing import Final, Self
 from urllib.parse import urlsplit
 
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from websockets.client import ClientProtocol
 from websockets.exceptions import InvalidURI, PayloadTooBig
 from websockets.frames import Frame, Opcode

@@ -9,8 +9,8 @@ from operator import itemgetter
 from typing import Protocol
 
 from pydantic import Field, NonNegativeInt, PositiveInt
-from vitac.envs.errors import VitacError
 from vitac.envs.tasks.quantities import Quantity
+from vitac.errors import VitacError
 
 from ..strict_model import StrictModel
 from .score import NORMAL_QUANTILE, Rate, rate_by_start

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, NonNegativeInt, PositiveInt
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from ..strict_model import StrictModel
 from .comparison import paired_interval

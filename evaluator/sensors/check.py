@@ -6,8 +6,8 @@ from math import dist
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vitac.envs.errors import VitacError
 from vitac.envs.untrusted_file import find_spelling
+from vitac.errors import VitacError
 
 from .findings import Finding, Rule
 from .limits import SensorLimits, sensor_limits

@@ -5,7 +5,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from .limits import SensorLimits
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field, ValidationError
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from ..strict_model import StrictModel
 from .check import CheckedSensor, accepted_sensor

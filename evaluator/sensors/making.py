@@ -8,7 +8,7 @@ import os
 import sys
 from pathlib import Path
 
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from ..strict_model import StrictModel
 from .made import MadeSensor, made_sensor

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 from pydantic import Field, model_validator
-from vitac.envs.errors import VitacError
 from vitac.envs.untrusted_file import find_spelling, read_start
+from vitac.errors import VitacError
 
 from ..strict_model import DocumentRejected, StrictModel, parse_untrusted_yaml
 from .limits import sensor_limits

@@ -8,7 +8,7 @@ from math import ceil
 from threading import Lock
 from typing import TYPE_CHECKING
 
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from ..agent.isolation.cgroup import memory_limit_bytes
 from ..agent.limits import GIB, Limits

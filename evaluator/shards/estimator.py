@@ -5,7 +5,7 @@ from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from ..episodes.episode import make_environment
 from ..episodes.reading import make_reading

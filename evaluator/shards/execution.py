@@ -11,7 +11,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import IO, TYPE_CHECKING
 
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from ..agent.isolation.packages import policy_versions
 from ..episodes.episode import Environment, MakeEnvironment, make_environment

@@ -24,9 +24,9 @@ from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
-from vitac.envs.errors import VitacError
 from vitac.envs.kernel_cache import STARTED_LOG
 from vitac.envs.maniskill.definition import is_maniskill
+from vitac.errors import VitacError
 
 from ..agent.isolation.packages import installed_packages
 from ..episodes.episode import make_environment

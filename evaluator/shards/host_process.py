@@ -7,7 +7,7 @@ import sys
 from types import MappingProxyType
 from typing import Final, Self
 
-from vitac.envs.errors import VitacError, require_compilation
+from vitac.errors import VitacError, require_compilation
 
 COMMAND = (sys.executable, "-P", "-m", "vitac.evaluator.shards.host")
 CAN_FORK: Final = sys.platform == "linux"

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Final
 
 from pydantic import NonNegativeInt
-from vitac.envs.errors import VitacError
 from vitac.envs.maniskill.definition import is_maniskill
+from vitac.errors import VitacError
 
 from ..agent.limits import Limits
 from ..agent.session import Isolation

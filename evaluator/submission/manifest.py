@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Annotated, Final
 
 from pydantic import AfterValidator, Field
-from vitac.envs.errors import VitacError
 from vitac.envs.untrusted_file import find_spelling
+from vitac.errors import VitacError
 
 from ..agent.verdicts import VerdictCode
 from ..remote.description import RemoteServer

@@ -7,7 +7,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Final
 
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from ..agent.limits import Limits
 from ..sensors.manifest import SENSOR_NAME

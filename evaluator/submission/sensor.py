@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import IO, Final
 
 from pydantic import ValidationError
-from vitac import envs, evaluator
-from vitac.envs.errors import VitacError
+from vitac import envs, errors, evaluator
 from vitac.envs.kernel_cache import shared_directory
+from vitac.errors import VitacError
 
 from ..agent.isolation import bubblewrap, packages, seccomp
 from ..agent.limits import GIB, MIB, Limits
@@ -58,7 +58,7 @@ def make_sensor(
     """
     tool = bubblewrap.Tool(
         module=MODULE,
-        code=tuple(Path(package.__path__[0]) for package in (envs, evaluator)),
+        code=tuple(Path(package.__path__[0]) for package in (envs, errors, evaluator)),
         kernels=shared_directory() or Path("/nonexistent"),
         folder=folder,
     )
@@ -70,12 +70,12 @@ def make_sensor(
             tool, interpreter=packages.find_interpreter(), limits=limits, uid=uid, seccomp=filter_file, passwd=passwd
         )
         output = exits.enter_context(tempfile.TemporaryFile())
-        errors = exits.enter_context(tempfile.TemporaryFile())
+        complaints = exits.enter_context(tempfile.TemporaryFile())
         process = subprocess.Popen(  # noqa: S603 - the command holds paths of ours only
             command,
             stdin=subprocess.DEVNULL,
             stdout=output,
-            stderr=errors,
+            stderr=complaints,
             pass_fds=(filter_file, passwd),
             env={},
             cwd="/",
@@ -87,16 +87,16 @@ def make_sensor(
             code = process.wait(wall_s)
         except subprocess.TimeoutExpired as error:
             raise SensorRejected(f"Checking and meshing the gel took longer than {wall_s:g} s; simplify it.") from error
-        return _answer(code, _read(output, 2 * MAX_BYTES), _read(errors, 2000))
+        return _answer(code, _read(output, 2 * MAX_BYTES), _read(complaints, 2000))
 
 
-def _answer(code: int, output: bytes, errors: bytes) -> MadeSensor:
+def _answer(code: int, output: bytes, complaints: bytes) -> MadeSensor:
     try:
         answer = MakingAnswer.model_validate_json(output)
     except ValidationError as error:
-        if code in _OVER_LIMIT or b"MemoryError" in errors:
+        if code in _OVER_LIMIT or b"MemoryError" in complaints:
             raise SensorRejected("Checking and meshing the gel took too much time or memory; simplify it.") from error
-        said = " ".join(errors.decode("utf-8", "replace").split())[-300:]
+        said = " ".join(complaints.decode("utf-8", "replace").split())[-300:]
         raise SensorNotMade(
             f"The sandbox that makes sensors ended with {code} ({said}); run `vitac doctor`."
         ) from error

@@ -9,8 +9,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import IO
 
-from vitac.envs.errors import VitacError
 from vitac.envs.untrusted_file import find_spelling
+from vitac.errors import VitacError
 
 from ..agent.limits import Limits
 from ..submission_kinds import SubmissionKind

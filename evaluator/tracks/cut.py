@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from .definition import Episode, Task
 

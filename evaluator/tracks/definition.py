@@ -10,13 +10,13 @@ from itertools import product
 from typing import Any, Final, Self
 
 from pydantic import Field, PositiveInt, model_validator
-from vitac.envs.errors import VitacError
 from vitac.envs.maniskill.definition import find_definition, is_maniskill
 from vitac.envs.observable import Observable
 from vitac.envs.tasks.definition import ActionComponent, Family, TaskDefinition
 from vitac.envs.tasks.quantities import Quantity, check_draws
 from vitac.envs.tasks.registry import task_definitions
 from vitac.envs.tasks.settings import FIDELITY, Fidelity
+from vitac.errors import VitacError
 
 from ..package_sets import PackageSet
 from ..ranking import DEFAULT_RANKING, Ranking, make_ranking

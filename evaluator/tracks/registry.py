@@ -13,8 +13,8 @@ from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
 
-from vitac.envs.errors import VitacError
 from vitac.envs.tasks.registry import find_package
+from vitac.errors import VitacError
 
 from ..strict_model import DocumentRejected, read_yaml
 from ..version import evaluator_hash, evaluator_parts, evaluator_version, format_version, sources_hash

@@ -14,7 +14,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import TypeVar
 
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from .definition import EpisodeBlock, EpisodeList, Start, Task, Track
 from .registry import load_track

@@ -7,8 +7,8 @@ from time import process_time
 
 import numpy as np
 from numpy.typing import NDArray
-from vitac.envs.errors import VitacError
 from vitac.envs.tasks.definition import Family
+from vitac.errors import VitacError
 from vitac.evaluator.episodes.episode import Environment, make_environment
 from vitac.evaluator.strict_model import DocumentRejected, read_yaml
 from vitac.evaluator.submission_kinds import SubmissionKind

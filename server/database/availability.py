@@ -8,7 +8,7 @@ import structlog
 from psycopg.conninfo import conninfo_to_dict, make_conninfo
 from psycopg.pq import PGconn, Ping
 from sqlalchemy.exc import DBAPIError
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from .engine import Database, has_no_free_connection, is_cancelled, is_connection_loss, is_temporary
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import structlog
 from psycopg.conninfo import conninfo_to_dict, make_conninfo
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 DEBIAN_ROOT = Path("/usr/lib/postgresql")
 OLDEST_MAJOR = 15

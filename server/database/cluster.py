@@ -27,7 +27,7 @@ from urllib.parse import quote
 import psycopg
 import structlog
 from psycopg import sql
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from ..state_directory import others_can_enter
 from .binaries import (

@@ -17,7 +17,7 @@ import psycopg
 import structlog
 from psycopg.conninfo import make_conninfo
 from psycopg.pq import PGconn, Ping
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from .availability import DatabaseUnreachable
 from .binaries import NOTICE_EVERY_S

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from psycopg import sql
 from psycopg.conninfo import conninfo_to_dict
 from sqlalchemy import Connection, NullPool, create_engine, text
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from .engine import ENCODING, Database, sqlalchemy_url
 from .locks import AdvisoryLock, wait_for_lock

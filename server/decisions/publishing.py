@@ -7,7 +7,7 @@ from datetime import UTC
 
 from jinja2 import Environment
 from sqlalchemy.orm import Session
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from ..competitions.competition import Competition
 from ..competitions.definition import CompetitionDefinition

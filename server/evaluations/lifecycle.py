@@ -7,8 +7,8 @@ from uuid import UUID
 
 from sqlalchemy import ColumnElement, exists, func, select, union_all, update
 from sqlalchemy.orm import Session
-from vitac.envs.errors import VitacError
 from vitac.envs.tasks.definition import Family
+from vitac.errors import VitacError
 from vitac.evaluator.episodes.records import EpisodeRecord, PolicyFailure, result_hash
 from vitac.evaluator.logs.findings import LogFinding
 from vitac.evaluator.scoring.failures import breaking_failure

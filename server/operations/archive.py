@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import IO, Final, Literal, Self
 
 from pydantic import ValidationError
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.evaluator.strict_model import StrictModel, Word, explain
 
 DESCRIPTION_NAME: Final = "backup.json"

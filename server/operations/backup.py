@@ -10,7 +10,7 @@ from pathlib import Path
 
 from pydantic import TypeAdapter
 from sqlalchemy import Connection, text
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.evaluator.strict_model import DocumentRejected, Word
 from vitac.evaluator.tracks.registry import TRACKS_FOLDER_VARIABLE
 

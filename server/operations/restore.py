@@ -5,7 +5,7 @@ from pathlib import Path
 
 from sqlalchemy import NullPool, create_engine, func, select, text
 from sqlalchemy.orm import Session
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from ..audit import record
 from ..database import binaries

@@ -17,8 +17,8 @@ from sqlalchemy import Interval, cast, func, select, text, update
 from sqlalchemy.dialects.postgresql import JSONB
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
-from vitac.envs.errors import VitacError
 from vitac.envs.tasks.definition import Family
+from vitac.errors import VitacError
 from vitac.evaluator.isolation_kinds import IsolationKind
 
 from ..database.clock import read_clock

@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 from uuid import UUID
 
 import numpy as np
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.evaluator.episodes.episode import Environment, make_environment
 from vitac.evaluator.episodes.records import EpisodeRecord, result_hash
 from vitac.evaluator.logs.checks import explain_impossible, known_without_running

@@ -18,7 +18,7 @@ from typing import BinaryIO, Final, Literal, TypeVar, cast
 from uuid import UUID
 
 from pydantic import BaseModel, Field, ValidationError
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.evaluator.episodes.records import canonical_json
 from vitac.evaluator.logs.packing import MAX_UNPACKED_BYTES
 from vitac.evaluator.sensors.made import MAX_BYTES as MAX_SENSOR_BYTES

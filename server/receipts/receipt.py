@@ -12,7 +12,7 @@ from typing import Annotated, Generic, Literal, TypeVar
 from uuid import UUID
 
 from pydantic import Field, NonNegativeInt, PositiveInt
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.evaluator.episodes.records import canonical_json
 from vitac.evaluator.strict_model import StrictModel, Word
 from vitac.evaluator.submission_kinds import SubmissionKind

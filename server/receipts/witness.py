@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from ..transparency.merkle import EMPTY_ROOT, ProofRejected, check_consistency
 from ..transparency.notes import OF_WITNESS, Checkpoint, NoteRejected, Signature, VerifierKey, cosign

@@ -14,7 +14,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from ..transparency.merkle import ProofRejected
 from ..transparency.notes import MAX_NOTE_CHARS, Checkpoint, NoteRejected, Signature, VerifierKey

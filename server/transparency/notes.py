@@ -13,7 +13,7 @@ from typing import Final
 
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from .merkle import check_inclusion
 

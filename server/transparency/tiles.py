@@ -5,7 +5,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from .merkle import TILE_WIDTH, ProofRejected, Tree, hash_leaf
 from .notes import Checkpoint, NoteRejected, VerifierKey

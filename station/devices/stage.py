@@ -17,7 +17,7 @@ from threading import Lock
 from time import monotonic, sleep
 from typing import TYPE_CHECKING, Final, NamedTuple, Self
 
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 if TYPE_CHECKING:
     from serial import Serial

@@ -4,7 +4,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from ..twin.gel_view import marker_grid, see_through_lens
 from ..twin.hidden import HiddenSensor

@@ -10,8 +10,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.assets import Meshes
-from vitac.envs.errors import VitacError
 from vitac.envs.scene.gripper import SensorPose
+from vitac.errors import VitacError
 
 from ..twin.bench import GRIP_FORCE
 from ..twin.gel_view import PrintedMarkers, marker_grid

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from ..arm import Arm, Offset
 from ..devices.stage import Pose

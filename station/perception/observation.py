@@ -4,8 +4,8 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from vitac.envs.errors import VitacError
 from vitac.envs.tactile.gel import MARKER_COUNT
+from vitac.errors import VitacError
 
 from .markers import MarkerFlow, Picture
 

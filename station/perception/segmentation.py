@@ -13,8 +13,8 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from vitac.envs.errors import VitacError
 from vitac.envs.vision.optics import rays
+from vitac.errors import VitacError
 
 from ..devices.cameras import ColourDepth, ColourIntrinsics
 

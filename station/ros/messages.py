@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from vitac.envs.errors import VitacError
 from vitac.envs.extras import explain_missing
+from vitac.errors import VitacError
 
 from ..eyes import Finger, SensorReading
 from ..perception.markers import MarkerFlow, Picture, cut_picture

@@ -7,7 +7,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from ..description import StationDescription
 from ..eyes import Eyes, Finger, SensorReading, open_cameras

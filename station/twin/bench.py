@@ -10,8 +10,8 @@ from typing import Final, Self
 
 import numpy as np
 from vitac.envs.assets import Meshes
-from vitac.envs.errors import VitacError
 from vitac.envs.vision.camera import Sight
+from vitac.errors import VitacError
 
 from ..description import StationTask, TwinClass, TwinMark
 from .depth_pictures import DepthCameraTwin

@@ -164,14 +164,16 @@ def make_script() -> FaultScript:
 
 
 def disturb(service: DisturbedService, expected: int, options: argparse.Namespace) -> Counter[str]:
-    """Kill one thing after the other until all trials are over; the last of them end in calm."""
+    """Kill one thing after the other, a trial at least between two; the last trials end in calm."""
     generator, end = random.Random(options.seed), time.monotonic() + 60 * options.minutes
     names = [*service.agents, *service.worker_names, "server", "database"]
     kills: Counter[str] = Counter()
+    done_at_kill = -1
     while (done := count_done(service)) < expected and time.monotonic() < end:
         time.sleep(generator.uniform(*PAUSE_S))
-        if done >= CALM_FROM * expected and all(kills[each] for each in names):
+        if done <= done_at_kill or (done >= CALM_FROM * expected and all(kills[each] for each in names)):
             continue
+        done_at_kill = done
         name = min(generator.sample(names, len(names)), key=lambda each: kills[each])
         pids = service.database_pids()[:1] if name == "database" else [service.pid(name) or 0]
         send(signal.SIGKILL, *(pid for pid in pids if pid))

@@ -15,9 +15,9 @@ import vitac.envs
 from gymnasium.utils.env_checker import check_env
 from trajectories import digests as trajectory_digests
 from trajectories import trajectory_digest
-from vitac.envs.errors import VitacError
 from vitac.envs.tasks.settings import ResetOptionsError
 from vitac.envs.tasks.task_env import ActionError
+from vitac.errors import VitacError
 from vitac.evaluator.tracks.definition import environment_definition
 
 ENV_IDS = sorted(vitac.envs.ENVIRONMENTS)

@@ -24,6 +24,7 @@ FOLDERS = (
     "cli",
     "docs",
     "envs",
+    "errors",
     "evaluator",
     "integrations",
     "migrations",

@@ -15,7 +15,7 @@ from typing import Any, BinaryIO, Literal
 
 import numpy as np
 from pydantic import Field, NonNegativeInt, PositiveInt, ValidationError
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.evaluator.episodes.provenance import make_manifest
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, Manifest, StateHash, canonical_json
 from vitac.evaluator.strict_model import StrictModel, Word

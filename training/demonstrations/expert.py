@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from vitac.envs.errors import VitacError
 from vitac.envs.scene.measured_pose import held_pose_mm_deg
+from vitac.errors import VitacError
 from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.tracks import Task
 

@@ -10,8 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from vitac.envs.errors import VitacError
 from vitac.envs.observable import Observable
+from vitac.errors import VitacError
 from vitac.evaluator.scoring.score import rate
 
 from ..files import write_text

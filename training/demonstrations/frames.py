@@ -9,9 +9,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
-from vitac.envs.errors import VitacError
 from vitac.envs.observable import Observable
 from vitac.envs.tasks.definition import chosen_observables
+from vitac.errors import VitacError
 from vitac.evaluator.episodes.records import EpisodeOutcome, StateHash
 from vitac.evaluator.strict_model import StrictModel, Word
 from vitac.evaluator.tracks import Task

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.drawing.drawable import find_perspective
 from vitac.envs.drawing.projection import section_loops_m
-from vitac.envs.errors import VitacError
 from vitac.envs.scene.perspective import Perspective
 from vitac.envs.tasks.definition import Family
+from vitac.errors import VitacError
 from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.episodes.provenance import make_manifest
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome

@@ -7,7 +7,7 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.agent.verdicts import PolicyFailed
 from vitac.evaluator.episodes.episode import Session, make_environment, open_episode, public_part

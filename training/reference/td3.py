@@ -21,10 +21,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 import vitac.envs  # noqa: F401 - registers the environments
-from vitac.envs.errors import VitacError
 from vitac.envs.extras import install_command
 from vitac.envs.tactile.design import SensorDesign
 from vitac.envs.tasks.settings import Fidelity, find_fidelity
+from vitac.errors import VitacError
 from vitac.evaluator.tracks import load_track
 
 from ..files import Arrays, FileDamaged, load, save, write_bytes, write_text

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.evaluator.episodes.episode import make_environment
 from vitac.evaluator.scoring.score import Rate, rate
 from vitac.evaluator.strict_model import StrictModel, read_yaml

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from vitac.errors import VitacError
 
-from ...errors import VitacError
 from ..linear.ordering import Elimination, plan_elimination
 
 FloatArray = NDArray[np.float64]

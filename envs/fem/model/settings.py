@@ -4,7 +4,8 @@ from dataclasses import dataclass, fields
 from enum import StrEnum
 from typing import Any, ClassVar, NamedTuple
 
-from ...errors import VitacError
+from vitac.errors import VitacError
+
 from .mesh import GEL_MATERIAL, PART_MATERIAL, GelBody, RigidBody
 
 

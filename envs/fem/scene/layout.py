@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 from numpy.typing import NDArray
+from vitac.errors import VitacError
 
-from ...errors import VitacError
 from ..affine import frame_weights
 from ..model.mesh import GelBody, RigidBody
 from ..model.settings import AnyContactSettings, CutOffSolverSettings, SolverSettings

@@ -5,9 +5,9 @@ from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
+from vitac.errors import VitacError
 
 from ...assets import Meshes
-from ...errors import VitacError
 from ...fem.model.mesh import SurfaceMesh
 from ...fem.model.settings import ContactModel
 from ...geometry.bases import (

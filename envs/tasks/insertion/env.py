@@ -8,9 +8,9 @@ import gymnasium
 import numpy as np
 from gymnasium.spaces.utils import flatten, flatten_space
 from numpy.typing import NDArray
+from vitac.errors import VitacError
 
 from ...deterministic_math import sine_cosine
-from ...errors import VitacError
 from ..definition import Flags
 from ..task_env import Info, TactileTaskEnv
 from .interface import PegOffset, norm

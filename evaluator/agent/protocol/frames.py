@@ -14,7 +14,7 @@ from typing import Annotated, Any, Final, Literal
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 from ..verdicts import PolicyFailed, VerdictCode
 

@@ -8,7 +8,7 @@ from datetime import datetime
 from math import isfinite
 from typing import Any, BinaryIO
 
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 MAX_LINE_BYTES = 1 << 18
 MAX_MESSAGE_CHARACTERS = 1 << 18

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.evaluator.agent.isolation import packages
 from vitac.evaluator.agent.session import PolicySession
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode

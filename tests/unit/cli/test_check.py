@@ -11,7 +11,7 @@ from evaluation_records import make_failure, make_record
 from submissions import submission_folder
 from typer.testing import CliRunner, Result
 from vitac.cli.main import build_app
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.tracks import load_track

@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import pytest
 from vitac.cli import main as cli
-from vitac.envs.errors import VitacError
 from vitac.envs.extras import install_command
+from vitac.errors import VitacError
 from vitac.evaluator.version import evaluator_version
 
 

@@ -12,7 +12,7 @@ import pytest
 from packaging.requirements import Requirement
 from vitac.envs.extras import find_extra, install_command
 
-FOLDERS = ("cli", "envs", "evaluator", "server", "station", "training", "web", "worker", "migrations")
+FOLDERS = ("cli", "envs", "errors", "evaluator", "server", "station", "training", "web", "worker", "migrations")
 ASKED_FOR = {"pytetwild", "segment_anything"}
 """Of no extra: their own messages say how to install them."""
 NO_PACKAGES = {"agent", "compression"}
@@ -32,6 +32,8 @@ main({words!r})
 """
 STATION = {"cv2", "pymodbus", "serial", "rosbags", "cyclonedds"}
 SERVER = {"sqlalchemy", "fastapi", "starlette", "uvicorn", "obstore", "alembic", "pydantic_settings", "structlog"}
+WEB = {"fastapi", "starlette", "uvicorn", "jinja2", "markdown_it", "sse_starlette", "argon2", "multipart"}
+"""What `server` has and `worker` has not."""
 POLICY = "examples/peg_insertion_heuristic/Track_1"
 
 
@@ -87,6 +89,19 @@ def test_physics_that_may_not_be_compiled_is_one_sentence(repository: Path, tmp_
 def test_organizers_elsewhere_need_nothing_of_the_server(repository: Path, tmp_path: Path, words: str) -> None:
     code, said = run(repository, tmp_path, f"admin --server http://127.0.0.1:9 {words}", SERVER)
     assert (code, "No service answers at http://127.0.0.1:9" in said) == (1, True), said
+
+
+@pytest.mark.slow
+def test_a_worker_needs_no_web_server(repository: Path, tmp_path: Path) -> None:
+    code, said = run(
+        repository,
+        tmp_path,
+        "worker --once",
+        WEB,
+        VITAC_DATABASE_URL="postgresql://127.0.0.1:9/vitac",
+        VITAC_DATABASE_WAIT_S="1",
+    )
+    assert (code, "127.0.0.1" in said) == (75, True), said
 
 
 def test_a_witness_needs_no_web_server(repository: Path, tmp_path: Path) -> None:

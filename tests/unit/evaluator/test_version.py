@@ -73,13 +73,13 @@ def test_hash_of_one_packages_sources_changes_with_them_alone(copied_sources: Pa
     before = {package: version.sources_hash(f"vitac.{package}") for package in ("envs", "evaluator")}
     (copied_sources / "envs" / "notes.txt").write_text("x")
     assert version.sources_hash("vitac.envs") == before["envs"]
-    (copied_sources / "envs" / "errors.py").write_text("")
+    (copied_sources / "envs" / "extras.py").write_text("")
     assert version.sources_hash("vitac.envs") != before["envs"]
     assert version.sources_hash("vitac.evaluator") == before["evaluator"]
     assert len(set(before.values())) == 2
 
 
-@pytest.mark.parametrize("name", ["envs/errors.py", "evaluator/tracks/track_1.yaml"])
+@pytest.mark.parametrize("name", ["envs/extras.py", "evaluator/tracks/track_1.yaml"])
 def test_hash_changes_with_a_source(copied_sources: Path, name: str) -> None:
     before = fresh_hash()
     with (copied_sources / name).open("a") as file:
@@ -89,7 +89,7 @@ def test_hash_changes_with_a_source(copied_sources: Path, name: str) -> None:
 
 def test_hash_changes_when_a_source_is_renamed(copied_sources: Path) -> None:
     before = fresh_hash()
-    (copied_sources / "envs" / "errors.py").rename(copied_sources / "envs" / "faults.py")
+    (copied_sources / "envs" / "extras.py").rename(copied_sources / "envs" / "additions.py")
     assert fresh_hash() != before
 
 
@@ -103,7 +103,7 @@ def test_parts_name_all_that_is_hashed(copied_sources: Path, monkeypatch: pytest
     read = version.evaluator_parts.__wrapped__
     before = read()
     assert before.keys() == {"llvmlite", "numba", "numpy", "vitac.envs", "vitac.evaluator"}
-    (copied_sources / "envs" / "errors.py").write_text("")
+    (copied_sources / "envs" / "extras.py").write_text("")
     after = read()
     assert {name for name in after if after[name] != before[name]} == {"vitac.envs"}
     assert version.evaluator_parts() is version.evaluator_parts(), "each shard asks, and reading them takes 20 ms"

@@ -3,7 +3,7 @@
 from http import HTTPStatus
 
 import pytest
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.server.errors import STATUS_OF_CODE, ProblemCode, ServiceError, not_found, storage_full
 
 # Clients rely on them: a code keeps its name and its status for ever; new ones are added.

@@ -23,6 +23,12 @@ def test_values_come_from_the_environment_and_arguments_win(monkeypatch: pytest.
     [
         ("VITAC_PORT", "many", "VITAC_PORT is 'many'"),
         ("VITAC_REGISTRATION", "maybe", "'open', 'invite', 'approval' or 'closed'"),
+        (
+            "VITAC_DATABASE_URL",
+            "postgresql+psycopg://u:p@h/d",
+            "postgresql://USER@HOST:PORT/NAME, got the scheme 'post",
+        ),
+        ("VITAC_DATABASE_OWNER_URL", "host/vitac", "VITAC_DATABASE_OWNER_URL is set: expected postgresql://"),
         ("VITAC_LEASE_S", "2", "at least three renewals"),
         ("VITAC_TRUSTED_PROXIES", "10.0.0.1, proxy", "VITAC_TRUSTED_PROXIES is '10.0.0.1, proxy'"),
     ],

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from sqlalchemy.orm import Session
 from structlog.testing import capture_logs
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.server.database.states import WorkKind
 from vitac.server.queue.kinds import KINDS
 from vitac.server.queue.work import Claim, LeaseLost

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.evaluator.episodes.records import ActionSequence
 
 from ...files import write_bytes

@@ -6,7 +6,7 @@ import pytest
 from vitac.cli.client import credentials
 from vitac.cli.client.answers import HINTS, RequestRefused, ServiceUnreachable
 from vitac.cli.client.http import DEFAULT_SERVER, Client, TokenUnusable, make_client
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.server.errors import ProblemCode
 
 SECRET = "vitac_secret"  # noqa: S105 - made up

@@ -11,7 +11,7 @@ from typing import Any
 import httpx
 import pytest
 from fastapi import FastAPI, Request
-from vitac.cli.service import web_server
+from vitac.cli.service import bounded_head
 from vitac.cli.service.web_server import (
     COLLECTIONS_OF_ALL,
     SWITCH_INTERVAL_S,
@@ -114,7 +114,7 @@ def echo() -> FastAPI:
 
 
 def test_a_client_that_does_not_finish_its_headers_is_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(web_server, "HEAD_TIMEOUT_S", 0.3)
+    monkeypatch.setattr(bounded_head, "HEAD_TIMEOUT_S", 0.3)
     with serving(echo()) as address:
         for first in (b"", b"POST / HTTP/1.1\r\nHost: a\r\n", FULL_REQUEST + b"POST / HTTP/1.1\r\n"):
             with socket.create_connection(address, timeout=60) as connection:
@@ -155,7 +155,7 @@ def test_a_slow_body_is_not_taken_for_a_slow_head(monkeypatch: pytest.MonkeyPatc
     with serving(app) as (host, port), socket.create_connection((host, port), timeout=60) as connection:
         connection.sendall(FULL_REQUEST.replace(b"/", b"/slow", 1)[:-1])
         assert has_begun.wait(60)
-        clock.passed_s = 2 * web_server.HEAD_TIMEOUT_S
+        clock.passed_s = 2 * bounded_head.HEAD_TIMEOUT_S
         assert httpx.post(f"http://{host}:{port}", content=b"ab", timeout=60).json() == 2  # what was due has been done
         connection.sendall(FULL_REQUEST[-1:])
         assert connection.recv(4096).startswith(b"HTTP/1.1 200 OK")

@@ -1,5 +1,5 @@
 import pytest
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
 
 

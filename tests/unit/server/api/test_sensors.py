@@ -18,7 +18,7 @@ from sensor_checks import check_sensors
 from service_client import POLICY, Service, make_archive, problem_of
 from service_factories import claim, make_record, play_all, shard_ids, store, take
 from sqlalchemy import delete, select, text, update
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.evaluator.agent.verdicts import SandboxFailed
 from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.figures.figures import FigureChoice, FiguresPart, SensorFigures, Variation

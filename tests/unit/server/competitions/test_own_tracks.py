@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import yaml
 from cubes_track import FILE
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.evaluator.strict_model import DocumentRejected
 from vitac.evaluator.tracks import ListKind, load_track
 from vitac.server.competitions import own_tracks

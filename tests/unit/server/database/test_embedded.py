@@ -13,7 +13,7 @@ from pathlib import Path
 import psycopg
 import pytest
 from databases import state_directory
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.server.database import binaries, cluster, embedded
 from vitac.server.database.binaries import PostgresNotFound, copy_binaries, find_binaries
 from vitac.server.database.cluster import SOCKET_PATH_LIMIT, Cluster, StateDirectoryUnreachable

@@ -6,7 +6,7 @@ from functools import partial
 import pytest
 from made_logs import LOG_KEY, Files, apply_file, at, change_list, final_board, make_entries, opened, publish
 from made_receipts import KEY, a_result, arrival_of, receipt_for
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 from vitac.evaluator.tracks.sealed import make_commitment
 from vitac.server.receipts.log_audit import audit_log, compare
 from vitac.server.receipts.receipt import End, Receipt, WinningEntry

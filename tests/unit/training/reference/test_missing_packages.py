@@ -4,7 +4,7 @@ import sys
 from importlib import import_module
 
 import pytest
-from vitac.envs.errors import VitacError
+from vitac.errors import VitacError
 
 MODULE = "vitac.training.reference.td3"
 
