@@ -1,13 +1,15 @@
 """Counts the IPC steps that are not solved, in resets and in random episodes of all tactile tasks.
 
 Usage: python benchmarks/unsolved.py [--resets N] [--episodes N] [--first SEED] [--task ID ...] [--workers 2]
-       [--contact-model NAME] [--intersections]
+       [--contact-model NAME] [--intersections] [--store FILE]
 
 Every reset draws its start as a training run does, from seed SEED on. Half of an episode's actions have every component
 at a bound, the others are anywhere; it is played to its end, or 20 env steps of lock opening. With `--intersections`
 the IPC Toolkit looks after every reset and every IPC step that follows whether bodies intersect, and states that are
-not finite are found. Prints a line of JSON for each task, with what plays an unsolved one again. Exit code 1 where an
-IPC step is not solved, or a state is wrong.
+not finite are found. Resets and episodes of all tasks take turns in pieces of 25 seeds; after each the totals of its
+task are printed as a line of JSON. With `--store` finished pieces are lines of the file, and the same command goes on
+from them after a kill. Several machines share the work by different `--first`. Exit code 1 where an IPC step is not
+solved, or a state is wrong.
 """
 
 import argparse
@@ -15,10 +17,12 @@ import json
 import sys
 import time
 from collections import Counter
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -26,10 +30,12 @@ from vitac.envs import ENVIRONMENTS
 from vitac.envs.fem.model.settings import ContactModel
 from vitac.envs.fem.scene.scene import StepStatus
 from vitac.envs.scene.grasped_scene import GraspedScene
+from vitac.evaluator.version import evaluator_hash
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support" / "physics"))
 
 LONGEST_EPISODE = 20
+PIECE_SEEDS = 25
 
 
 @dataclass(kw_only=True)
@@ -57,23 +63,41 @@ class Look:
 
 @dataclass(kw_only=True)
 class Counted:
-    """How IPC steps ended, the seeds with one that is not solved, what was seen, and the CPU time [s]."""
+    """How many seeds were played, how their IPC steps ended, what was seen, and the CPU time [s].
 
+    `unsolved` are the seeds with an IPC step that is not solved, `wrong` those with a state that intersects or is not
+    finite, of the `states` that were looked at.
+    """
+
+    seeds: int = 0
     statuses: Counter[str] = field(default_factory=Counter[str])
     unsolved: list[int] = field(default_factory=list[int])
     wrong: list[int] = field(default_factory=list[int])
     states: int = 0
     cpu_s: float = 0.0
 
+    def add(self, other: "Counted") -> None:
+        """Add what was counted elsewhere."""
+        self.seeds += other.seeds
+        self.statuses.update(other.statuses)
+        self.unsolved += other.unsolved
+        self.wrong += other.wrong
+        self.states += other.states
+        self.cpu_s = round(self.cpu_s + other.cpu_s, 1)
 
-@dataclass(frozen=True, kw_only=True)
-class Way:
-    """How episodes are played."""
+
+class Way(NamedTuple):
+    """How episodes are played; without env steps they are resets only."""
 
     task: str
     contact_model: str | None
     env_steps: int
     looks: bool
+
+    @property
+    def what(self) -> str:
+        """What is played."""
+        return "episodes" if self.env_steps else "resets"
 
 
 def played(env: Any, seed: int, env_steps: int, look: Look | None = None) -> list[str]:
@@ -97,7 +121,7 @@ def counted(way: Way, seeds: range) -> Counted:
     env: Any = gymnasium.make(
         way.task, disable_env_checker=True, observation_keys=(), contact_model=way.contact_model
     ).unwrapped
-    count, began = Counted(), time.process_time()
+    count, began = Counted(seeds=len(seeds)), time.process_time()
     for seed in seeds:
         look = Look() if way.looks else None
         statuses = played(env, seed, way.env_steps, look)
@@ -110,26 +134,51 @@ def counted(way: Way, seeds: range) -> Counted:
     return count
 
 
-def measured(way: Way, seeds: range, pool: ProcessPoolExecutor) -> dict[str, Any]:
-    """Count over all seeds, in pieces of 50."""
-    pieces = [seeds[k : k + 50] for k in range(0, len(seeds), 50)]
-    results = list(pool.map(counted, [way] * len(pieces), pieces))
-    found: dict[str, Any] = {
-        "task": way.task,
-        "what": "episodes" if way.env_steps else "resets",
-        "seeds": [seeds.start, seeds.stop - 1],
-        "ipc_steps": dict(sum((result.statuses for result in results), Counter[str]())),
-        "cpu_s": round(sum(result.cpu_s for result in results)),
-        "unsolved": [seed for result in results for seed in result.unsolved],
-    }
-    if way.looks:
-        found["states_looked_at"] = sum(result.states for result in results)
-        found["intersecting_or_not_finite"] = [seed for result in results for seed in result.wrong]
-    return found
+def pieces(ways: list[tuple[Way, int]], first: int) -> Iterator[tuple[Way, range]]:
+    """Give each way's seeds in pieces; the ways take turns."""
+    for start in range(0, max(count for _, count in ways), PIECE_SEEDS):
+        for way, count in ways:
+            if start < count:
+                yield way, range(first + start, first + min(start + PIECE_SEEDS, count))
+
+
+def name_piece(way: Way, seeds: range) -> str:
+    """Return what names a stored piece: all that decides what is counted in it."""
+    return json.dumps([*way, seeds.start, seeds.stop, evaluator_hash()])
+
+
+def read_store(store: Path | None) -> dict[str, Counted]:
+    """Return the finished pieces of a file; a line that a kill cut is none."""
+    counts: dict[str, Counted] = {}
+    for line in store.read_text().splitlines() if store and store.exists() else ():
+        with suppress(json.JSONDecodeError):
+            name, count = json.loads(line)
+            counts[name] = Counted(**count | {"statuses": Counter(count["statuses"])})
+    return counts
+
+
+def play_missing(
+    chosen: list[tuple[Way, range]], store: Path | None, workers: int
+) -> Iterator[tuple[Way, range, Counted]]:
+    """Give all pieces with what was counted, stored ones first, and store each that is played."""
+    stored = read_store(store)
+    missing = []
+    for way, seeds in chosen:
+        count = stored.get(name_piece(way, seeds))
+        if count is None:
+            missing.append((way, seeds))
+        else:
+            yield way, seeds, count
+    with ProcessPoolExecutor(workers) as pool:
+        for (way, seeds), count in zip(missing, pool.map(counted, *zip(*missing, strict=True)), strict=True):
+            if store:
+                with store.open("a", encoding="utf-8") as file:
+                    file.write("\n" + json.dumps([name_piece(way, seeds), vars(count)]))
+            yield way, seeds, count
 
 
 def main() -> None:
-    """Count, and print a line of JSON for each task."""
+    """Count, and print a line of JSON after each piece."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--resets", type=int, default=10_000)
     parser.add_argument("--episodes", type=int, default=2_000)
@@ -137,19 +186,19 @@ def main() -> None:
     parser.add_argument("--task", nargs="+", choices=list(ENVIRONMENTS), default=list(ENVIRONMENTS))
     parser.add_argument("--contact-model", choices=list(ContactModel), help="by default that of each task")
     parser.add_argument("--intersections", action="store_true")
+    parser.add_argument("--store", type=Path, metavar="FILE", help="finished pieces, from which a run continues")
     parser.add_argument("--workers", type=int, default=2)
     arguments = parser.parse_args()
-    failed = False
-    with ProcessPoolExecutor(arguments.workers) as pool:
-        for count, env_steps in ((arguments.resets, 0), (arguments.episodes, LONGEST_EPISODE)):
-            for task in arguments.task if count else ():
-                way = Way(
-                    task=task, contact_model=arguments.contact_model, env_steps=env_steps, looks=arguments.intersections
-                )
-                found = measured(way, range(arguments.first, arguments.first + count), pool)
-                print(json.dumps(found), flush=True)
-                failed = failed or bool(found["unsolved"] or found.get("intersecting_or_not_finite"))
-    sys.exit(int(failed))
+    ways = [
+        (Way(task, arguments.contact_model, env_steps, arguments.intersections), count)
+        for count, env_steps in ((arguments.resets, 0), (arguments.episodes, LONGEST_EPISODE))
+        for task in arguments.task
+    ]
+    totals = {way: Counted() for way, _ in ways}
+    for way, _, count in play_missing(list(pieces(ways, arguments.first)), arguments.store, arguments.workers):
+        totals[way].add(count)
+        print(json.dumps({"task": way.task, "what": way.what, **vars(totals[way])}), flush=True)
+    sys.exit(any(total.unsolved or total.wrong for total in totals.values()))
 
 
 if __name__ == "__main__":
