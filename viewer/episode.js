@@ -38,6 +38,12 @@ export class Episode {
     return mixed(this.arrays.held_poses.values, POSE, place, 1, 0, target);
   }
 
+  /** How far the fixed part has moved [mm]; null where it stands still. */
+  fixedShift(place, target) {
+    const { fixed_shifts_mm: shifts } = this.arrays;
+    return shifts ? mixed(shifts.values, 3, place, 1, 0, target) : null;
+  }
+
   /** Upper ends of the colour scales over the whole episode. */
   largest() {
     const displacements = this.arrays.displacements.values;

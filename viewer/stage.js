@@ -63,7 +63,7 @@ export class Stage extends View {
     const all = [...parts, ...this.#pointsOfGripper()];
     this.whole = framing(all, episode.header.view_deg);
     this.scene.add(...this.gels.map((gel) => gel.mesh), ...this.bodies, this.palm.mesh);
-    new Studio(this, sphereAround(all), new Box3().setFromObject(this.fixed.mesh).min.z, () => this.draw());
+    this.studio = new Studio(this, sphereAround(all), new Box3().setFromObject(this.fixed.mesh).min.z, () => this.draw());
     this.lookAt(this.whole, episode.header.view_deg);
   }
 
@@ -77,6 +77,8 @@ export class Stage extends View {
     });
     this.palm.show(...this.gels.map((gel) => gel.mesh.matrix));
     applyPose(this.held.mesh, this.episode.heldPose(place, this.pose));
+    const shift = this.episode.fixedShift(place, this.pose);
+    if (shift) this.studio.ride(shift);
     this.forces.show(place);
     this.pressure.show(place, quantity, largest);
     if (this.ghost) this.#showGhost(time);

@@ -9,6 +9,7 @@ import {
   NeutralToneMapping,
   PCFShadowMap,
   PMREMGenerator,
+  Vector2,
 } from "three";
 import { RoomEnvironment } from "three/addons/environments/RoomEnvironment.js";
 
@@ -23,7 +24,7 @@ const ENVIRONMENT_PIXELS = 128; // of a face: it is seen in rough metal only
 // The grid, and a table that fades into the page.
 const TABLE_COLOUR = `
 #include <color_fragment>
-vec2 fromLine = abs(fract(onTable / ${GRID_MM}.0 - 0.5) - 0.5) * ${GRID_MM}.0;
+vec2 fromLine = abs(fract((onTable + tableMotion) / ${GRID_MM}.0 - 0.5) - 0.5) * ${GRID_MM}.0;
 vec2 lineWidth = fwidth(onTable);
 float isLine = 1.0 - min(min(fromLine.x / lineWidth.x, fromLine.y / lineWidth.y), 1.0);
 diffuseColor.rgb = mix(diffuseColor.rgb, lineColour, 0.6 * isLine);
@@ -47,11 +48,17 @@ export class Studio {
     this.rim.target = this.key.target;
     this.table = table(around, floor);
     scene.add(this.key, this.key.target, this.rim, this.table);
+    this.motion = this.table.material.userData.motion;
     this.#setMood();
     DARK.addEventListener("change", () => {
       this.#setMood();
       draw();
     });
+  }
+
+  /** Slides the table away under a scene that rides on a part which has moved [mm]. */
+  ride(motion) {
+    this.motion.set(motion[0], motion[1]);
   }
 
   #setMood() {
@@ -82,14 +89,18 @@ function keyLight(around) {
 function table(around, floor) {
   const radius = 3 * around.radius;
   const material = new MeshStandardMaterial({ transparent: true, roughness: 0.9, metalness: 0 });
-  material.userData.line = new Color();
+  Object.assign(material.userData, { line: new Color(), motion: new Vector2() });
   material.onBeforeCompile = (shader) => {
-    Object.assign(shader.uniforms, { lineColour: { value: material.userData.line }, tableRadius: { value: radius } });
+    Object.assign(shader.uniforms, {
+      lineColour: { value: material.userData.line },
+      tableMotion: { value: material.userData.motion },
+      tableRadius: { value: radius },
+    });
     shader.vertexShader = shader.vertexShader
       .replace("#include <common>", "#include <common>\nvarying vec2 onTable;")
       .replace("#include <begin_vertex>", "#include <begin_vertex>\nonTable = position.xy;");
     shader.fragmentShader = shader.fragmentShader
-      .replace("#include <common>", "#include <common>\nvarying vec2 onTable;\nuniform vec3 lineColour;\nuniform float tableRadius;")
+      .replace("#include <common>", "#include <common>\nvarying vec2 onTable;\nuniform vec3 lineColour;\nuniform vec2 tableMotion;\nuniform float tableRadius;")
       .replace("#include <color_fragment>", TABLE_COLOUR);
   };
   const mesh = new Mesh(new CircleGeometry(radius, 64), material);

@@ -37,16 +37,19 @@ class Pace(StrEnum):
 class Moment:
     """The scene at one time; within an env step, observation and info are those before it.
 
+    Places are in the world, or with a fixed part that moves, as seen by one who rides on it, who sees it stand still.
+
     Attributes:
         env_step: number of the env step that ends at this moment or later; 0 after the reset.
-        gel_nodes_m: all nodes of the left and the right gel in the world [m], shapes [n, 3].
+        gel_nodes_m: all nodes of the left and the right gel [m], shapes [n, 3].
         sensor_poses: of the left and the right sensor.
-        held_m: vertices of the held part in the world [m], shape [v, 3].
+        held_m: vertices of the held part [m], shape [v, 3].
         marker_flow: what the policy was given [pixel], shape [2, 2, 128, 2].
         lost_px: where markers were that it lost, of the left and the right sensor [pixel], shapes [l, 2].
         info: of the last reset or env step that has ended.
         contact_forces_n: on the held part, the left and the right gel [N], shape [3, 3].
         pair_forces: of single contacts.
+        fixed_shift_m: how far the fixed part has moved in the world [m], shape [3].
         sight: what the camera rig saw then; None where there is none.
         belief_error: what the policy believed of the offset at its last look, less what was true then [mm, deg]; None
             where it has not said.
@@ -61,6 +64,7 @@ class Moment:
     info: Mapping[str, Any]
     contact_forces_n: FloatArray
     pair_forces: PairForces
+    fixed_shift_m: FloatArray
     sight: Sight | None = None
     belief_error: FloatArray | None = None
 
@@ -179,16 +183,26 @@ def _sight(env: TactileTaskEnv[Any, Any]) -> Sight | None:
 
 
 def _moment(scene: GraspedScene, env_step: int, observation: Observation, info: Info, sight: Sight | None) -> Moment:
+    shift_m, left, right, pairs = (
+        scene.fixed_shift_m(),
+        scene.sensor_pose(0),
+        scene.sensor_pose(1),
+        scene.pair_forces(),
+    )
     return Moment(
         env_step=env_step,
-        gel_nodes_m=(scene.gel_nodes_m(0), scene.gel_nodes_m(1)),
-        sensor_poses=(scene.sensor_pose(0), scene.sensor_pose(1)),
-        held_m=scene.held_vertices_m(np.arange(len(scene.held.mesh.vertices_m))),
+        gel_nodes_m=(scene.gel_nodes_m(0) - shift_m, scene.gel_nodes_m(1) - shift_m),
+        sensor_poses=(
+            replace(left, centre_m=left.centre_m - shift_m),
+            replace(right, centre_m=right.centre_m - shift_m),
+        ),
+        held_m=scene.held_vertices_m(np.arange(len(scene.held.mesh.vertices_m))) - shift_m,
         marker_flow=observation["marker_flow"],
         lost_px=scene.lost_markers_px(),
         info=info,
         contact_forces_n=scene.contact_forces_n(),
-        pair_forces=scene.pair_forces(),
+        pair_forces=pairs._replace(points_m=pairs.points_m - shift_m),
+        fixed_shift_m=shift_m,
         sight=sight,
     )
 

@@ -146,6 +146,9 @@ def _packed(playback: Playback, moments: list[Moment]) -> bytes:
         "rewards": _rounded(playback.rewards),
         "surface_motions_mm": np.array([1e3 * moment.info["surface_diff_m"] for moment in ends], dtype=np.float32),
     }
+    shifts_mm = np.array([1e3 * moment.fixed_shift_m for moment in moments])
+    if shifts_mm.any():
+        arrays["fixed_shifts_mm"] = _rounded(shifts_mm)
     arrows = [make_arrows(moment.pair_forces) for moment in moments]
     arrays["arrow_places_mm"] = _rounded(np.array([1e3 * places_m for places_m, _ in arrows]))
     arrays["arrow_forces_n"] = _rounded(np.array([forces_n for _, forces_n in arrows]))

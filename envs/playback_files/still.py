@@ -96,6 +96,7 @@ class _Scene:
 
     def __init__(self, playback: Playback) -> None:
         perspective = look_up_perspective(playback.env_id)
+        self._fixed_shift_m = playback.moments[-1].fixed_shift_m
         self._floor_m = float(playback.fixed_m[:, 2].min()) - 5e-5
         view = DEFAULT_VIEW if perspective is None else (perspective.azimuth_deg, perspective.elevation_deg)
         azimuth, elevation = np.radians(view)
@@ -164,7 +165,8 @@ class _Scene:
         away = np.linalg.norm(place_m - self._middle_m[:2], axis=1) / (3.0 * self._radius_m)
         part = ((away - _FADES_FROM) / (1.0 - _FADES_FROM)).clip(0.0, 1.0)
         fade = 1.0 - part * part * (3.0 - 2.0 * part)
-        from_line_m = np.abs(place_m / _GRID_M - np.round(place_m / _GRID_M)).min(axis=1) * _GRID_M
+        on_grid = (place_m + self._fixed_shift_m[:2]) / _GRID_M
+        from_line_m = np.abs(on_grid - np.round(on_grid)).min(axis=1) * _GRID_M
         width_m = 2.5 * self._radius_m / HEIGHT_PX
         is_line = (1.0 - from_line_m / width_m).clip(0.0, 1.0)[:, None]
         shade = _SHADOW_OPACITY * (1.0 - is_lit[is_table]) * fade

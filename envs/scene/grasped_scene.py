@@ -166,6 +166,7 @@ class GraspedScene:
         # The physics numbers gels first; at each of its numbers that of `pair_forces`.
         is_rigid = [False] * SENSOR_COUNT + [True, True] + [isinstance(part, RigidBody) for part in self.others]
         self._numbers = np.argsort(is_rigid, kind="stable")
+        self._motions = {number: body.motion for number, body in enumerate(bodies) if body.motion is not None}
         with clocks.physics:
             self._scene = Scene(
                 gels=[*(self._placed_gel(index) for index in range(SENSOR_COUNT)), *gels],
@@ -195,6 +196,11 @@ class GraspedScene:
     def pose(self) -> GripperPose:
         """Present pose of the gripper."""
         return self._gripper.pose
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time since the scene was built [s]."""
+        return self.ipc_steps * self.physics.time_step_s
 
     def move_to(self, goal: GripperPose, *, ipc_steps: int) -> None:
         """Drive the gels to a pose in equal IPC steps; stops at the first that does not converge."""
@@ -257,8 +263,12 @@ class GraspedScene:
         gels = SENSOR_COUNT + len(self._still_m)
         return self._scene.gel_positions_m(number) if number < gels else self._scene.body_vertices_m(number - gels)
 
+    def fixed_shift_m(self) -> FloatArray:
+        """Return where the fixed part is now, from where it was placed [m], shape [3]."""
+        return np.zeros(3) if self.fixed.motion is None else self.fixed.motion(self.time_s)
+
     def fixed_surface(self) -> SurfaceMesh:
-        """Return the surfaces of all parts that never move, as one in the world."""
+        """Return the surfaces of all fixed parts where they were placed, as one in the world."""
         parts = [self.fixed, *(part for part in self.others if isinstance(part, RigidBody) and part.fixed)]
         first = np.cumsum([0, *(len(part.mesh.vertices_m) for part in parts)])
         return SurfaceMesh(
@@ -353,8 +363,12 @@ class GraspedScene:
 
     def _step_towards(self, pose: GripperPose) -> None:
         self._measured = _Measurements()
+        time_s = (self.ipc_steps + 1) * self.physics.time_step_s
         with self._clocks.physics:
-            report = self._scene.step(driven_targets_m=[*self._gripper.driven_targets_m(pose), *self._still_m])
+            report = self._scene.step(
+                driven_targets_m=[*self._gripper.driven_targets_m(pose), *self._still_m],
+                displacements_m={number: motion(time_s) for number, motion in self._motions.items()},
+            )
         if self._still_m:  # Only the gripper's gels hold the part.
             report = replace(report, gel_forces_n=report.gel_forces_n[:SENSOR_COUNT])
         self.ipc_steps += 1
@@ -385,7 +399,7 @@ class GraspedScene:
         """Return a marker flow whose current positions have drifted since the start of the episode."""
         speed_px_s = (self._markers.drift_u_px_s, self._markers.drift_v_px_s)
         if any(speed_px_s):
-            flow[:, 1] += np.array(speed_px_s) * (self.ipc_steps * self.physics.time_step_s)
+            flow[:, 1] += np.array(speed_px_s) * self.time_s
         return flow
 
     def _views_m(self) -> list[FloatArray]:

@@ -199,8 +199,8 @@ def _oriented(nodes: NDArray[np.float64], tetrahedra: NDArray[np.int64]) -> NDAr
     return turned
 
 
-SENSING_NODES = 49
-"""Nodes on the sensing face of the gel of the evaluations (`gel.gelsight_mini_mesh`)."""
+SENSING_NODES, ARENA_SENSING_NODES = 49, 81
+"""Nodes on the sensing face of the gel of the evaluations, and of that under `arena-2`."""
 
 MARKER_COUNT = 128
 """Markers in a marker flow; where fewer are seen the last is repeated."""

@@ -23,7 +23,7 @@ _MARGIN = 0.12
 
 
 class StillCamera:
-    """Looks at a scene from its task's perspective, with the fixed part cut open, as it stands when this is made."""
+    """Looks at a scene from its task's perspective, with the fixed part cut open; it rides on one that moves."""
 
     def __init__(self, grasped: GraspedScene, perspective: Perspective) -> None:
         self._grasped = grasped
@@ -57,8 +57,9 @@ class StillCamera:
 
     def _vertices_m(self) -> FloatArray:
         grasped = self._grasped
-        held_m = grasped.held_vertices_m(self._held_vertices)
-        gels_m = [grasped.gel_nodes_m(index) for index in range(SENSOR_COUNT)]
+        shift_m = grasped.fixed_shift_m()
+        held_m = grasped.held_vertices_m(self._held_vertices) - shift_m
+        gels_m = [grasped.gel_nodes_m(index) - shift_m for index in range(SENSOR_COUNT)]
         return self._surfaces.vertices_m([self._fixed_m, held_m, *gels_m])
 
 

@@ -123,7 +123,7 @@ class HandPlay:
         self._has_seen = True
         scene, view = self._env.scene, self.perspective.section
         fixed, held = scene.fixed_surface(), scene.held.mesh
-        held_m = scene.held_vertices_m(np.arange(len(held.vertices_m)))
+        held_m = scene.held_vertices_m(np.arange(len(held.vertices_m))) - scene.fixed_shift_m()
         axes = [index for index, _ in view.axes]
         parts = {
             "fixed": section_loops_m(fixed.vertices_m, fixed.triangles, view.fixed_cut),

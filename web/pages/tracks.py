@@ -63,6 +63,7 @@ PICTURES: Mapping[str, Sequence[Picture]] = {
         _sensor("sensor-standard", "right"),
     ),
     "peg-insertion-2024": (_scene("peg-insertion-2024", _PEG),),
+    "moving-hole": (_scene("moving-hole", f"{_PEG} that moves"),),
     "lock-opening-2024": (
         _scene(
             "lock-opening-2024", "A gripper whose two gels hold a key, which they have pushed into a lock, cut open"

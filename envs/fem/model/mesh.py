@@ -1,5 +1,6 @@
 """Meshes of gels and rigid parts, and the bodies that they are placed as."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations, product
@@ -460,7 +461,16 @@ class GelBody:
 class RigidBody:
     """A rigid part in a scene (an affine body), placed by world = rotation @ body + translation.
 
-    A fixed one never moves.
+    Attributes:
+        mesh: closed surface.
+        rotation: shape [3, 3].
+        translation_m: [m], shape [3].
+        density_kg_m3: density [kg/m^3].
+        friction: friction coefficient [-], for contact models that take the mean of two bodies.
+        material: its name, for contact models with friction coefficients by pair of materials.
+        fixed: whether nothing that touches it moves it.
+        motion: where a fixed one is at a time [s] after the scene was built, from where it was placed [m], shape [3];
+            None for one that never moves. It meets no other fixed part, and can be pickled.
     """
 
     mesh: SurfaceMesh
@@ -470,3 +480,4 @@ class RigidBody:
     friction: float = 1.0
     material: str = PART_MATERIAL
     fixed: bool = False
+    motion: Callable[[float], FloatArray] | None = None

@@ -105,6 +105,8 @@ def check_bodies(gels: Sequence[GelBody], bodies: Sequence[RigidBody]) -> None:
     for index, body in enumerate(bodies):
         _check_place(f"body {index}", body)
         _check_positive(f"body {index}", density_kg_m3=body.density_kg_m3)
+        if body.motion is not None and not body.fixed:
+            raise SceneError(f"body {index} has a motion, but is not fixed; only what nothing else moves can have one.")
 
 
 def check_settings(time_step_s: float, contact: AnyContactSettings, solver: SolverSettings) -> None:

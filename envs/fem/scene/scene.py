@@ -1,6 +1,6 @@
 """A scene: gels and affine bodies that are stepped together, one IPC step at a time."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from math import sqrt
@@ -182,7 +182,8 @@ class Scene:
             self._solver,
         )
         self._surfaces = self._model.surfaces
-        self._x = self._layout.initial_positions_m()
+        self._placed_m = self._layout.initial_positions_m()
+        self._x = self._placed_m.copy()
         self._branches = build_branches(self._gels, time_step_s)
         self._viscous_strain = np.zeros((*self._branches.rate.shape, 6))
         self._workspace = self._new_workspace()
@@ -204,13 +205,20 @@ class Scene:
         branches, hexahedra = self._branches.rate.shape
         return new_workspace(self._model.system, len(self._x), hexahedra if branches else 0)
 
-    def step(self, *, driven_targets_m: Sequence[FloatArray]) -> StepReport:
+    def step(
+        self, *, driven_targets_m: Sequence[FloatArray], displacements_m: Mapping[int, FloatArray] | None = None
+    ) -> StepReport:
         """Advance one time step while the driven nodes of each gel move to their targets [m], shapes [d, 3].
 
         The state after NOT_CONVERGED is free of intersections and inversions but is no minimum.
+
+        Args:
+            driven_targets_m: of each gel.
+            displacements_m: where fixed bodies are at the end, by number, from where they were placed [m], shapes [3];
+                others stay.
         """
         start, time_step_s = self._x.copy(), self._model.parameters.time_step_s
-        x_hat, target = start + time_step_s * self._velocity, self._target(driven_targets_m)
+        x_hat, target = start + time_step_s * self._velocity, self._target(driven_targets_m, displacements_m or {})
         attempt = _Attempt(start=start, memory=self._memory, x_hat=x_hat, target=target, held=np.zeros_like(start))
         self._last_start = start, self._memory
         if isinstance(self._contact, ArenaContactSettings) and self._contact.weakening is not None:
@@ -307,7 +315,7 @@ class Scene:
         friction = weaken_friction(law, self._surfaces, self._memory, y, velocity)
         return self._surfaces._replace(pair_friction=friction)
 
-    def _target(self, driven_targets_m: Sequence[FloatArray]) -> FloatArray:
+    def _target(self, driven_targets_m: Sequence[FloatArray], displacements_m: Mapping[int, FloatArray]) -> FloatArray:
         if len(driven_targets_m) != len(self._gels):
             raise SceneError(f"Got driven targets for {len(driven_targets_m)} gels, expected {len(self._gels)}.")
         target = self._x.copy()
@@ -320,6 +328,15 @@ class Scene:
                 node, given = self._gels[index].mesh.driven_nodes[wrong], wanted[wrong]
                 raise SceneError(f"The target of node {node} of gel {index} is {given}, expected finite numbers [m].")
             target[driven] = wanted
+        for index, displacement_m in displacements_m.items():
+            if not self._bodies[index].fixed:
+                raise SceneError(f"Body {index} can move freely; only fixed bodies can be displaced.")
+            if displacement_m.shape != (3,) or not np.isfinite(displacement_m).all():
+                raise SceneError(
+                    f"The displacement of body {index} is {displacement_m}, expected three finite numbers [m]."
+                )
+            rows = self._layout.body_slices[index]
+            target[rows] = self._placed_m[rows] + displacement_m
         return target
 
     def _solve(self, attempt: _Attempt) -> tuple[StepStatus, int]:

@@ -303,7 +303,8 @@ class FusionScene(InsertionScene[FusionOffset, FusionInsertionSettings]):
         )
         self._sight = None
         self._before = self._visible() if self._settings.picture_delay > 0.0 else None
-        self._travel(goal, max(abs(goal.x_mm - now.x_mm), abs(goal.y_mm - now.y_mm), abs(goal.z_mm - now.z_mm)))
+        distance_mm = max(abs(goal.x_mm - now.x_mm), abs(goal.y_mm - now.y_mm), abs(goal.z_mm - now.z_mm))
+        self._travel(goal, ipc_steps=self._steps_to(goal, distance_mm))
 
     def sight(self) -> Sight:
         """Return what the rig sees now; looked at once, however often it is asked for before the next motion.

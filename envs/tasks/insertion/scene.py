@@ -250,20 +250,23 @@ class InsertionScene(ABC, Generic[OffsetT, SettingsT]):
         sine, cosine = sine_cosine(radians(self.offset.theta_deg))
         return [dx * cosine - dy * sine, dx * sine + dy * cosine, *others]
 
-    def _travel(self, goal: OffsetT, distance_mm: float, *, raised_mm: float = 0.0) -> None:
+    def _travel(self, goal: OffsetT, *, ipc_steps: int, raised_mm: float = 0.0) -> None:
         """Drive the grasped peg to an offset, all axes together.
 
         Args:
             goal: new commanded offset.
-            distance_mm: longest way along an axis.
+            ipc_steps: that it takes.
             raised_mm: height above that of the offset.
         """
-        turn_rad = radians(goal.theta_deg - self.offset.theta_deg)
-        steps = max(self._ipc_steps(distance_mm * 1e-3, TRAVEL_SPEED_M_S), self._ipc_steps(turn_rad, TURN_SPEED_RAD_S))
         closing_m = self._open_half_m() - self.grasped.pose.half_opening_m
         self.offset = goal
         pose = self._open_pose(goal).moved(z_m=raised_mm * 1e-3, closing_m=closing_m)
-        self.grasped.move_to(pose, ipc_steps=steps)
+        self.grasped.move_to(pose, ipc_steps=ipc_steps)
+
+    def _steps_to(self, goal: OffsetT, distance_mm: float) -> int:
+        """Return the IPC steps to an offset whose longest way along an axis is this [mm], at the task's speeds."""
+        turn_rad = radians(goal.theta_deg - self.offset.theta_deg)
+        return max(self._ipc_steps(distance_mm * 1e-3, TRAVEL_SPEED_M_S), self._ipc_steps(turn_rad, TURN_SPEED_RAD_S))
 
     def _ipc_steps(self, amount: float, speed_per_s: float) -> int:
         return ipc_steps(amount, speed_per_s=speed_per_s, time_step_s=self._settings.physics.time_step_s)

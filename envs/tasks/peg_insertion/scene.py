@@ -164,7 +164,7 @@ class PegScene(InsertionScene[PegOffset, PegInsertionSettings]):
     def travel(self, goal: PegOffset) -> None:
         """Move the gripper to an offset, x, y and theta together, then one z step down."""
         distance_mm = max(abs(goal.x_mm - self.offset.x_mm), abs(goal.y_mm - self.offset.y_mm))
-        self._travel(goal, distance_mm, raised_mm=self._z_mm)
+        self._travel(goal, ipc_steps=self._steps_to(goal, distance_mm), raised_mm=self._z_mm)
         self._descend(self._settings.z_step_mm, TRAVEL_SPEED_M_S)
 
     def relative_motion_mm_deg(self) -> NDArray[np.float64]:

@@ -1,6 +1,6 @@
 """Stands in for the physics in tests of what is built on it: gels follow their driven nodes rigidly."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -33,11 +33,13 @@ class FakeScene:
         self.gels, self.bodies, self.time_step_s = list(gels), list(bodies), time_step_s
         self.contact, self.solver = contact, solver
         self.targets_m: list[list[np.ndarray]] = []
+        self.displacements_m: list[dict[int, np.ndarray]] = []
         self.placed = [(gel.rotation, gel.translation_m) for gel in gels]
         self._pending = list(self.statuses)
         self.built.append(self)
 
-    def step(self, *, driven_targets_m: Sequence[np.ndarray]) -> StepReport:
+    def step(self, *, driven_targets_m: Sequence[np.ndarray], displacements_m: Mapping[int, np.ndarray]) -> StepReport:
+        self.displacements_m.append(dict(displacements_m))
         self.targets_m.append([targets.copy() for targets in driven_targets_m])
         for index, (gel, targets) in enumerate(zip(self.gels, driven_targets_m, strict=True)):
             self.placed[index] = rigid_fit(gel.mesh.rest_position_m[gel.mesh.driven_nodes], targets)

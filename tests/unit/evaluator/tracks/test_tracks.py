@@ -301,10 +301,10 @@ def one_task(content: dict[str, object], *, task: str) -> str:
 
 def test_tracks_of_a_folder_stand_beside_ours(further: Path, content: dict[str, object]) -> None:
     (further / "mine.yaml").write_text(one_task(content, task="my-peg"))
-    assert list_tracks()[:2] == ("mine", "track_1")
+    assert list_tracks()[:2] == ("mine", "moving_hole")
     assert list_tracks()[-1] == "maniskill"
     assert find_task("my-peg")[0].name == "mine"
-    assert archive_folders() == ("Mine", "Track_1", "Track_2", "Track_3", "ViTac2024", "ManiSkill")
+    assert archive_folders() == ("Mine", "MovingHole", "Track_1", "Track_2", "Track_3", "ViTac2024", "ManiSkill")
 
 
 def test_tracks_of_ours_are_not_replaced(further: Path) -> None:

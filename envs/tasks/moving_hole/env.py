@@ -1,0 +1,104 @@
+"""`ViTac/MovingHole-v1`: insert a peg into the hole of a plate that moves."""
+
+from functools import partial
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ...scene.perspective import ActionArray, longest_action
+from ..definition import Flags
+from ..insertion.env import way_to_the_hole
+from ..peg_insertion.env import OFFSET, SHAPE, PegInsertionEnv, choose_start, is_blocked
+from ..peg_insertion.scene import PegScene
+from ..settings import choice, numbers
+from ..task_env import Info, Observation
+from .definition import TASK
+from .scene import EARLIEST_START_S, MovingHoleScene, MovingHoleSettings, MovingHoleStart, PlateMotion, PlatePath
+
+MOTION, DIRECTION, START = "plate_motion", "plate_direction_deg", "plate_start_s"
+
+
+class MovingHoleEnv(PegInsertionEnv):
+    """Insert a peg into the hole of a plate that begins to move, by touch alone.
+
+    As `ViTac/PegInsertion-v1`, from which it differs so: some time after the reset, which the policy is not told, the
+    plate begins to move in a direction that it is not told either: at a constant speed, to and fro, or as a conveyor
+    that runs and stops. It drags at the peg that is pressed on it. Every env step takes the same time, 0.4 s, in which
+    the gripper moves in the world as the action says and 0.08 mm down, all together. Contacts are those of `arena-2`.
+
+    Reset options: `shape`, `offset_mm_deg` and `rng_seed` as there, `plate_motion` ("constant", "sine", "conveyor"),
+    `plate_direction_deg` (from x towards y), and `plate_start_s`, of which 0.4 is the reset's end. What is left open
+    is drawn.
+
+    Ends: as there, after 12 env steps; the offset that may not be beyond 12 mm is that from the hole where it is.
+
+    Keyword arguments: those of `TactileTaskEnv`, and fields of `MovingHoleSettings`.
+    """
+
+    task: ClassVar = TASK
+    settings_type: ClassVar = MovingHoleSettings
+    option_names: ClassVar[tuple[str, ...]] = (SHAPE, OFFSET, MOTION, DIRECTION, START)
+
+    def _start(self, options: dict[str, Any], random: np.random.Generator) -> PegScene:
+        settings: Any = self._settings_with_draws()
+        start = choose_start(
+            options,
+            random,
+            env_id=self.env_id,
+            shapes=self._shapes,
+            blocked=partial(is_blocked, form=settings.form),
+            xy_mm=settings.random_xy_mm,
+            theta_deg=settings.random_theta_deg,
+        )
+        path = choose_path(
+            options,
+            random,
+            env_id=self.env_id,
+            speed_mm_s=settings.plate_speed_mm_s,
+            latest_start_s=settings.latest_start_s,
+        )
+        drawn: Any = self._settings_of_episode(random)
+        return MovingHoleScene(
+            start=MovingHoleStart(shape=start.shape, offset=start.offset, path=path),
+            meshes=self._meshes,
+            settings=drawn,
+            clocks=self._clocks,
+        )
+
+    def _info(self, flags: Flags) -> Info:
+        scene: Any = self.task_scene
+        shift_mm = 1e3 * scene.grasped.fixed_shift_m()[:2]
+        return {**super()._info(flags), "plate_mm": shift_mm, "plate_step_mm": scene.plate_step_mm()}
+
+
+def choose_path(
+    options: dict[str, Any], random: np.random.Generator, *, env_id: str, speed_mm_s: float, latest_start_s: float
+) -> PlatePath:
+    """Return the plate's path as the options give it; what they leave open is drawn: motion, direction and start.
+
+    Args:
+        options: may hold `plate_motion`, `plate_direction_deg` and `plate_start_s`.
+        random: the episode's generator.
+        env_id: for messages.
+        speed_mm_s: largest speed of the plate.
+        latest_start_s: largest time from the reset's end to the start.
+
+    Raises:
+        ResetOptionsError: an option is not a known motion or not a number.
+    """
+    kind, turn, late = int(random.integers(len(PlateMotion))), random.random(), random.random()
+    given = options.get(MOTION)
+    motion = list(PlateMotion)[kind] if given is None else choice(env_id, MOTION, given, PlateMotion)
+    drawn = {DIRECTION: 360.0 * turn, START: EARLIEST_START_S + latest_start_s * late}
+    direction_deg, start_s = (
+        drawn[name] if name not in options else numbers(env_id, name, [options[name]], 1, "expected a number")[0]
+        for name in (DIRECTION, START)
+    )
+    return PlatePath(motion=motion, speed_mm_s=speed_mm_s, direction_deg=direction_deg, start_s=start_s)
+
+
+def to_where_the_hole_will_be(_: Observation, info: Info) -> ActionArray:
+    """Take the offset away that is left if the gripper stands still while the plate moves."""
+    offset_mm_deg = info["gt_offset_mm_deg"].copy()
+    offset_mm_deg[:2] -= info["plate_step_mm"]
+    return longest_action(np.array(way_to_the_hole(offset_mm_deg.tolist())), np.array(TASK.action_scale))
