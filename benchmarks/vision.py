@@ -25,7 +25,7 @@ import numpy as np
 import vitac.envs  # noqa: F401 - registers the environments
 from visible_scenes import STARTS, SeenScene, fusion_scene
 from vitac.envs.vision.look import colour_picture, depth_picture, segmentation_picture
-from vitac.envs.vision.rasterizer import Label, View
+from vitac.envs.vision.rasterizer import Label, RenderedView
 from vitac.envs.vision.stereo.camera import depth_of_pair, draw_noise_keys, infrared_pair, registered_depth_m
 from vitac.envs.vision.stereo.matching import LARGEST_DISPARITY, NO_DISPARITY, PARTS, SMALLEST_DISPARITY
 from vitac.envs.vision.stereo.method import METHOD
@@ -48,14 +48,14 @@ def colour_and_stereo_depth(scene: SeenScene) -> None:
     stereo_depth_m(scene, view, 0)
 
 
-def stereo_depth_m(scene: SeenScene, view: View, seed: int) -> np.ndarray:
+def stereo_depth_m(scene: SeenScene, view: RenderedView, seed: int) -> np.ndarray:
     """Return the depth that the stereo camera measures [m]."""
     keys = draw_noise_keys(np.random.default_rng(seed))
     pair = infrared_pair(scene.surfaces, scene.vertices_m, pose=scene.pose, colour_view=view, noise_keys=keys)
     return depth_of_pair(pair, view)
 
 
-def depth_by_opencv_m(scene: SeenScene, view: View, seed: int) -> np.ndarray:
+def depth_by_opencv_m(scene: SeenScene, view: RenderedView, seed: int) -> np.ndarray:
     """Return the depth that OpenCV's semi-global block matching finds in the same infrared pair [m].
 
     Its settings are those of our matcher where it has the same ones (blocks of 7 x 7, penalties, uniqueness, left-right
@@ -90,7 +90,7 @@ def colour_and_opencv_depth(scene: SeenScene) -> None:
     depth_by_opencv_m(scene, view, 0)
 
 
-def stereo_quality(name: str, depth_of: Callable[[SeenScene, View, int], np.ndarray]) -> None:
+def stereo_quality(name: str, depth_of: Callable[[SeenScene, RenderedView, int], np.ndarray]) -> None:
     """Print how much of peg and base a matcher measures at all starts, and how well."""
     errors_mm: dict[Label, list[np.ndarray]] = {Label.BASE: [], Label.PEG: []}
     pixels = dict.fromkeys(errors_mm, 0)

@@ -14,7 +14,7 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.geometry.bases import HEXAGON_HOLE_Y_MM
-from vitac.evaluator.episodes.episode import OpenSession, Policy
+from vitac.evaluator.episodes.episode import EpisodePolicy, OpenSession
 from vitac.evaluator.episodes.reading import Reading
 from vitac.evaluator.tracks import Episode, Task
 
@@ -26,7 +26,7 @@ from .operators import Operator
 from .outcome import ATTEMPTS, TrialOutcome
 from .perception.segmentation import make_segmenter, object_points_m
 from .preflight import PreflightRefused
-from .trial import Attempt, Trial
+from .trial import Attempt, StationTrial
 from .video import VideoRecorder
 
 HOLES_Y_MM: Final[Mapping[str, float]] = {"hexagon": HEXAGON_HOLE_Y_MM, "cuboid": 0.0}
@@ -40,7 +40,7 @@ _NEAR: Final = (6.0, 6.0, 10.0)
 _DEPTH_MM: Final = 1.0
 
 
-class FusionTrial(Trial):
+class FusionTrial(StationTrial):
     """Attempts at one episode of the fusion task."""
 
     def _find_start(self, episode: Episode) -> Offset:
@@ -56,7 +56,7 @@ class FusionTrial(Trial):
         self._arm.go(self._arm.place(self._start, self._arm.height_mm(self._start_mm)))
         return self._start_mm
 
-    def _insert(self, policy: Policy, start_mm: float) -> TrialOutcome:
+    def _insert(self, policy: EpisodePolicy, start_mm: float) -> TrialOutcome:
         attempt, arm, offset, height_mm = self._attempt, self._arm, self._start, start_mm
         sight = self._look()
         while len(attempt.actions) < self._task.max_steps:
@@ -199,7 +199,7 @@ class TrialPlayer:
         is_fusion = StationTask(task.station_of or task.name) is StationTask.FUSION
         recorder = None if code is None else VideoRecorder(station, self.video_file, code, self.share)
         with recorder or nullcontext():
-            attempt = (FusionTrial if is_fusion else Trial)(
+            attempt = (FusionTrial if is_fusion else StationTrial)(
                 station,
                 task=task,
                 episode=episode,

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from vitac.envs.drawing.camera_view import DrawnQuantity
     from vitac.envs.drawing.files import Destination, Format, Frame, Picture
     from vitac.envs.drawing.picture import Caption
-    from vitac.envs.drawing.playback import Pace, Playback
+    from vitac.envs.drawing.playback import EpisodePlayback, Pace
     from vitac.envs.tasks.task_env import TactileTaskEnv
     from vitac.envs.vision.camera import Sight
 
@@ -137,7 +137,7 @@ def _destination(path: Path, step: int | None) -> "Destination":
 
 def _played(
     start: EpisodeStart, policy: Path | None, actions: Path | None, assets: Path | None, pace: "Pace"
-) -> "tuple[Caption, Playback]":
+) -> "tuple[Caption, EpisodePlayback]":
     """Play the episode, and return what is written above its pictures and what is drawn of it."""
     from vitac.envs.drawing.picture import Caption
 
@@ -158,7 +158,7 @@ def _pace(every: str | None, destination: "Destination") -> "Pace":
     return Pace.IPC_STEP if destination.format.is_animated else Pace.ENV_STEP
 
 
-def _record(played: ShownEpisode, assets: Path | None, pace: "Pace") -> "Playback":
+def _record(played: ShownEpisode, assets: Path | None, pace: "Pace") -> "EpisodePlayback":
     """Play the episode and keep what is drawn of it."""
     import gymnasium
     from vitac.envs.drawing.playback import record
@@ -170,7 +170,7 @@ def _record(played: ShownEpisode, assets: Path | None, pace: "Pace") -> "Playbac
     return record(env, options=start.options, next_action=played.next_action, pace=pace, belief=played.belief)
 
 
-def _chosen(playback: "Playback", form: "Format", step: int | None) -> slice:
+def _chosen(playback: "EpisodePlayback", form: "Format", step: int | None) -> slice:
     """Return the moments to draw."""
     if form is not form.PNG:
         return slice(None)
@@ -181,7 +181,7 @@ def _chosen(playback: "Playback", form: "Format", step: int | None) -> slice:
     return slice(index, index + 1)
 
 
-def _frames(playback: "Playback", pictures: "Iterator[Picture]", moments: slice) -> "Iterator[Frame]":
+def _frames(playback: "EpisodePlayback", pictures: "Iterator[Picture]", moments: slice) -> "Iterator[Frame]":
     """Yield the pictures of these moments with their names and durations."""
     from vitac.envs.drawing.files import Frame
 
@@ -190,7 +190,7 @@ def _frames(playback: "Playback", pictures: "Iterator[Picture]", moments: slice)
         yield Frame(picture=picture, name=name, duration_ms=duration_ms)
 
 
-def _names_and_durations(playback: "Playback") -> Iterator[tuple[str, int]]:
+def _names_and_durations(playback: "EpisodePlayback") -> Iterator[tuple[str, int]]:
     """Yield file name and duration on screen [ms] of every moment."""
     first = 0
     for index, moment in enumerate(playback.moments):
@@ -202,7 +202,7 @@ def _names_and_durations(playback: "Playback") -> Iterator[tuple[str, int]]:
 
 
 def _draw(
-    playback: "Playback", caption: "Caption", quantity: "DrawnQuantity", *, width_px: int, moments: slice
+    playback: "EpisodePlayback", caption: "Caption", quantity: "DrawnQuantity", *, width_px: int, moments: slice
 ) -> "Iterator[Picture]":
     """Yield the pictures of these moments, with a progress bar while they are drawn."""
     from rich.console import Console
@@ -214,7 +214,7 @@ def _draw(
     yield from track(pictures, description="drawing", total=total, console=Console(stderr=True), transient=True)
 
 
-def _draw_cameras(playback: "Playback", title: str, *, width_px: int, moments: slice) -> "Iterator[Picture]":
+def _draw_cameras(playback: "EpisodePlayback", title: str, *, width_px: int, moments: slice) -> "Iterator[Picture]":
     """Return pictures of what the camera rig saw at these moments.
 
     Raises:
@@ -227,7 +227,9 @@ def _draw_cameras(playback: "Playback", title: str, *, width_px: int, moments: s
     )
 
 
-def _render(playback: "Playback", title: str, mode: str, *, width_px: int, moments: slice) -> "Iterator[Picture]":
+def _render(
+    playback: "EpisodePlayback", title: str, mode: str, *, width_px: int, moments: slice
+) -> "Iterator[Picture]":
     """Return the colour pictures of these moments beside SAPIEN's.
 
     Raises:
@@ -245,7 +247,7 @@ def _render(playback: "Playback", title: str, mode: str, *, width_px: int, momen
     )
 
 
-def _seen(playback: "Playback", moments: slice) -> "list[tuple[int, Sight]]":
+def _seen(playback: "EpisodePlayback", moments: slice) -> "list[tuple[int, Sight]]":
     """Return env step and sight of these moments.
 
     Raises:
@@ -258,7 +260,7 @@ def _seen(playback: "Playback", moments: slice) -> "list[tuple[int, Sight]]":
     return seen
 
 
-def _beliefs(playback: "Playback") -> list[dict[str, Any]]:
+def _beliefs(playback: "EpisodePlayback") -> list[dict[str, Any]]:
     """Return what the policy believed of the offset after an env step, beside what was true [mm, deg]."""
     from vitac.envs.drawing.playback import TRUE_OFFSET
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from vitac.envs.drawing.files import Destination, Frame
     from vitac.envs.drawing.playback import Belief, NextAction
-    from vitac.envs.maniskill.film import Moment
+    from vitac.envs.maniskill.film import FilmMoment
     from vitac.envs.tasks.task_env import Info, Observation
     from vitac.evaluator.agent.session import EpisodePolicy
     from vitac.evaluator.logs.recordings import Recording
@@ -275,7 +275,7 @@ def film(
     is_one = destination.format is destination.format.PNG
     every = select_env_steps(task.max_steps) if destination.format.is_animated and not each_step else 1
     n_digits = max(2, len(str(task.max_steps)))
-    last: Moment
+    last: FilmMoment
 
     def frames(played: "ShownEpisode") -> "Iterator[Frame]":
         nonlocal last

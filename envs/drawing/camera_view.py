@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from ..vision.camera import Sight
 from ..vision.optics import HEIGHT_PX, WIDTH_PX
 from ..vision.renderer import RenderMode
-from .playback import Moment, Playback
+from .playback import EpisodePlayback, Moment
 from .plots import INK, TICK_PT, style
-from .projection import Frame, widened
+from .projection import PictureCrop, widened
 from .scene_view import cauchy_stress_pa, deformation_gradients, displacement_m, nodal_means, von_mises_pa
 
 Picture = NDArray[np.uint8]
@@ -41,7 +41,7 @@ class CameraStrip:
     """
 
     def __init__(self, sights: Sequence[Sight], *, width_px: int) -> None:
-        self._frame = Frame.around(sights)
+        self._frame = PictureCrop.around(sights)
         figure = Figure(figsize=(_WIDTH_IN, _STRIP_HEIGHT_IN), dpi=width_px / _WIDTH_IN, facecolor="white")
         colour, depth = figure.subplots(1, 2)
         figure.subplots_adjust(left=0.05, right=0.9, bottom=0.14, top=0.9, wspace=0.12)
@@ -67,7 +67,7 @@ def camera_sheet(sight: Sight, title: str, *, width_px: int) -> Picture:
         title: names episode and env step.
         width_px: pixels across.
     """
-    frame = Frame.around([sight])
+    frame = PictureCrop.around([sight])
     figure = Figure(figsize=(_WIDTH_IN, _SHEET_HEIGHT_IN), dpi=width_px / _WIDTH_IN, facecolor="white")
     figure.text(0.02, 0.965, title, size=13, weight="bold", color=INK, va="center")
     grid = figure.add_gridspec(2, 3, left=0.05, right=0.93, bottom=0.07, top=0.89, wspace=0.3, hspace=0.28)
@@ -75,7 +75,7 @@ def camera_sheet(sight: Sight, title: str, *, width_px: int) -> Picture:
     _show_depth(figure.add_subplot(grid[0, 1]), sight, frame)
     for place, (name, picture) in enumerate((("left", sight.infrared.left), ("right", sight.infrared.right))):
         rows, columns = np.nonzero(picture)
-        around = Frame(
+        around = PictureCrop(
             rows=widened(rows, HEIGHT_PX),
             columns=widened(columns, WIDTH_PX),
             nearest_mm=frame.nearest_mm,
@@ -96,7 +96,7 @@ def rendered_sheet(sight: Sight, rendered: Picture, title: str, *, mode: RenderM
         mode: how it was rendered.
         width_px: pixels across.
     """
-    frame = Frame.around([sight])
+    frame = PictureCrop.around([sight])
     figure = Figure(figsize=(_WIDTH_IN, _STRIP_HEIGHT_IN + 0.4), dpi=width_px / _WIDTH_IN, facecolor="white")
     figure.text(0.02, 0.95, title, size=13, weight="bold", color=INK, va="center")
     ours, theirs = figure.subplots(1, 2)
@@ -106,14 +106,14 @@ def rendered_sheet(sight: Sight, rendered: Picture, title: str, *, mode: RenderM
     return _drawn(figure)
 
 
-def _show(axes: Axes, picture: Picture, frame: Frame, title: str, cmap: str | None = None) -> AxesImage:
+def _show(axes: Axes, picture: Picture, frame: PictureCrop, title: str, cmap: str | None = None) -> AxesImage:
     part = picture[frame.rows, frame.columns]
     image = axes.imshow(part, cmap=cmap, extent=_extent(frame), interpolation="nearest")
     _label(axes, title)
     return image
 
 
-def _show_depth(axes: Axes, sight: Sight, frame: Frame) -> AxesImage:
+def _show_depth(axes: Axes, sight: Sight, frame: PictureCrop) -> AxesImage:
     colours, norm = _depth_colours(), Normalize(frame.nearest_mm, frame.farthest_mm)
     image = axes.imshow(
         _shown_depth_mm(sight, frame), cmap=colours, norm=norm, extent=_extent(frame), interpolation="nearest"
@@ -125,13 +125,13 @@ def _show_depth(axes: Axes, sight: Sight, frame: Frame) -> AxesImage:
     return image
 
 
-def _shown_depth_mm(sight: Sight, frame: Frame) -> FloatArray:
+def _shown_depth_mm(sight: Sight, frame: PictureCrop) -> FloatArray:
     """Return the depth inside the frame [mm], masked where it is unknown."""
     masked: FloatArray = np.ma.masked_equal(1e3 * sight.depth_m[frame.rows, frame.columns], 0.0)
     return masked
 
 
-def _show_cloud(axes: Any, sight: Sight, frame: Frame) -> None:
+def _show_cloud(axes: Any, sight: Sight, frame: PictureCrop) -> None:
     """Draw the points in the camera's frame, y and z turned so that up is up."""
     points_mm = 1e3 * sight.point_cloud_m[sight.depth_m > 0].astype(np.float64)
     x, y, z = points_mm.T
@@ -157,7 +157,7 @@ def _label(axes: Axes, title: str) -> None:
     style(axes, title)
 
 
-def _extent(frame: Frame) -> tuple[float, float, float, float]:
+def _extent(frame: PictureCrop) -> tuple[float, float, float, float]:
     return frame.columns.start, frame.columns.stop, frame.rows.stop, frame.rows.start
 
 
@@ -199,7 +199,7 @@ class Colouring:
     values: tuple[tuple[FloatArray, FloatArray], ...]
 
 
-def colouring(playback: Playback, quantity: DrawnQuantity) -> Colouring:
+def colouring(playback: EpisodePlayback, quantity: DrawnQuantity) -> Colouring:
     """Return the quantity at all moments, on one scale that 98 % of the values are within."""
     values = tuple(
         (_values(playback, moment, 0, quantity), _values(playback, moment, 1, quantity)) for moment in playback.moments
@@ -219,7 +219,7 @@ def round_limits(low: float, high: float) -> tuple[float, float]:
     return step * floor(low / step + _ROUNDING), step * ceil(high / step - _ROUNDING)
 
 
-def _values(playback: Playback, moment: Moment, gel: int, quantity: DrawnQuantity) -> FloatArray:
+def _values(playback: EpisodePlayback, moment: Moment, gel: int, quantity: DrawnQuantity) -> FloatArray:
     """Return nodal values of a gel: stress in kPa (mean of the tetrahedra around a node) or displacement in mm."""
     mesh, nodes_m = playback.gel, moment.gel_nodes_m[gel]
     if quantity is DrawnQuantity.DISPLACEMENT:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..scene.perspective import Beside, Perspective
 from .camera_view import CameraStrip, DrawnQuantity, colouring
 from .drawable import find_perspective
-from .playback import TRUE_OFFSET, Moment, Playback
+from .playback import TRUE_OFFSET, EpisodePlayback, Moment
 from .plots import BELIEF_COLOUR, INK, QUIET, draw_progress, draw_section
 from .scene_view import SceneImage, SceneView
 from .sensor_view import SIDES, SensorPanels
@@ -55,7 +55,7 @@ def picture_size_px(width_px: int) -> tuple[int, int]:
 
 
 def draw(
-    playback: Playback, caption: Caption, *, quantity: DrawnQuantity, width_px: int, moments: slice = slice(None)
+    playback: EpisodePlayback, caption: Caption, *, quantity: DrawnQuantity, width_px: int, moments: slice = slice(None)
 ) -> Iterator[NDArray[np.uint8]]:
     """Return the pictures of the chosen moments, each RGB of shape [height, width, 3].
 
@@ -93,7 +93,7 @@ _ANCHORS = {
 class Painter:
     """Draws the moments of one playback, all on the same scales."""
 
-    def __init__(self, playback: Playback, caption: Caption, *, quantity: DrawnQuantity, width_px: int) -> None:
+    def __init__(self, playback: EpisodePlayback, caption: Caption, *, quantity: DrawnQuantity, width_px: int) -> None:
         self._playback = playback
         self._caption = caption
         self._perspective = find_perspective(playback.env_id)

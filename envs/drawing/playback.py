@@ -83,7 +83,7 @@ class Moment:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Playback:
+class EpisodePlayback:
     """What does not change in an episode, and its moments in order.
 
     Attributes:
@@ -131,7 +131,7 @@ def record(
     next_action: NextAction,
     pace: Pace = Pace.ENV_STEP,
     belief: Belief | None = None,
-) -> Playback:
+) -> EpisodePlayback:
     """Play an episode until it ends or no action comes, and keep it.
 
     Args:
@@ -209,10 +209,10 @@ def _moment(scene: GraspedScene, env_step: int, observation: Observation, info: 
 
 def _playback(
     env: TactileTaskEnv[Any, Any], moments: tuple[Moment, ...], actions: list[NDArray[np.float32]], rewards: list[float]
-) -> Playback:
+) -> EpisodePlayback:
     scene = env.scene
     fixed = scene.fixed_surface()
-    return Playback(
+    return EpisodePlayback(
         env_id=env.env_id,
         gel=scene.gel,
         camera=scene.camera,

@@ -8,7 +8,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from ..scene.perspective import Perspective, Plane, ProgressPlot, SectionView
-from .playback import Moment, Playback
+from .playback import EpisodePlayback, Moment
 from .projection import section_loops_m
 from .visibility import CUT_COLOUR, HELD_COLOUR
 
@@ -19,7 +19,7 @@ GOAL_COLOUR, BELIEF_COLOUR = "#1b7837", "#a3217a"
 TITLE_PT, TICK_PT = 9.0, 8.0
 
 
-def draw_section(axes: Axes, perspective: Perspective, playback: Playback, moment: Moment) -> None:
+def draw_section(axes: Axes, perspective: Perspective, playback: EpisodePlayback, moment: Moment) -> None:
     """Draw both parts, cut, in their places, and dashed the held one where the policy believes it."""
     view = perspective.section
     fixed = _outline(playback.fixed_m, playback.fixed.triangles, view.fixed_cut, view)
@@ -36,7 +36,7 @@ def draw_section(axes: Axes, perspective: Perspective, playback: Playback, momen
     style(axes, view.title)
 
 
-def draw_progress(axes: Axes, progress: ProgressPlot, playback: Playback, index: int) -> None:
+def draw_progress(axes: Axes, progress: ProgressPlot, playback: EpisodePlayback, index: int) -> None:
     """Draw the heights that decide, over the env steps of the episode up to the present moment."""
     ends = [playback.moments[last] for last in playback.last_moments]
     steps = np.array([moment.env_step for moment in ends])

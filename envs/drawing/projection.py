@@ -67,7 +67,7 @@ _MARGIN_PX = 10
 
 
 @dataclass(frozen=True, kw_only=True)
-class Frame:
+class PictureCrop:
     """The part of a picture that is shown, and the depths that colours stand for.
 
     Attributes:
@@ -83,7 +83,7 @@ class Frame:
     farthest_mm: float
 
     @classmethod
-    def around(cls, sights: Sequence[Sight]) -> "Frame":
+    def around(cls, sights: Sequence[Sight]) -> "PictureCrop":
         """Return the frame around all bodies that are ever seen, with a scale for the first and last depth picture."""
         empty = (Label.NOTHING, Label.TABLE, Label.WALL)
         shown = np.any([~np.isin(sight.segmentation, empty) for sight in sights], axis=0)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..scene.perspective import Perspective
-from .playback import Moment, Playback
+from .playback import EpisodePlayback, Moment
 from .projection import ParallelCamera, section_loops_m
 from .visibility import (
     CUT_COLOUR,
@@ -73,7 +73,7 @@ class _Part:
 class SceneView:
     """Draws the moments of a playback from one place; what does not move is looked at once."""
 
-    def __init__(self, playback: Playback, perspective: Perspective, *, width_px: int, height_px: int) -> None:
+    def __init__(self, playback: EpisodePlayback, perspective: Perspective, *, width_px: int, height_px: int) -> None:
         self._playback = playback
         self._cut = perspective.cut
         self._fixed = _Part(

@@ -15,7 +15,7 @@ from ..tactile.camera import camera_frame, project
 from ..tactile.design import Fault, SensorDesign
 from ..tactile.gel import eye_distance_m
 from ..tactile.markers import SensingSurface
-from .playback import Moment, Playback
+from .playback import EpisodePlayback, Moment
 from .plots import INK, QUIET, TICK_PT, style
 from .projection import ParallelCamera
 from .visibility import Visible, lit
@@ -43,7 +43,7 @@ SIDES = (Side(index=0, name="left"), Side(index=1, name="right"))
 class SensorPanels:
     """Draws the sensors of a playback, arrows of all moments on one scale."""
 
-    def __init__(self, playback: Playback) -> None:
+    def __init__(self, playback: EpisodePlayback) -> None:
         self._mesh = playback.gel
         self._camera, self._eye_distance_m = playback.camera, eye_distance_m(playback.gel)
         self._triangles = SensingSurface.from_gel(playback.gel).triangles
@@ -97,7 +97,7 @@ def arrows(marker_flow: NDArray[np.float32]) -> tuple[FloatArray, FloatArray]:
     return pairs[:, :2], pairs[:, 2:] - pairs[:, :2]
 
 
-def magnification(playback: Playback) -> int:
+def magnification(playback: EpisodePlayback) -> int:
     """Return how many times longer than they are the arrows of a playback are drawn."""
     flows = np.stack([moment.marker_flow for moment in playback.moments]).astype(np.float64)
     longest = float(np.abs(flows[:, :, 1] - flows[:, :, 0]).max())

@@ -26,7 +26,7 @@ _PAPER, _INK = (255, 255, 255), (32, 32, 32)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Moment:
+class FilmMoment:
     """An episode after its reset or after an env step.
 
     Attributes:
@@ -50,11 +50,11 @@ class Moment:
 class Shot:
     """A moment and its picture, shape [h, w, 3]."""
 
-    moment: Moment
+    moment: FilmMoment
     picture: Picture
 
 
-def play(env: ManiSkillEnv, *, options: Mapping[str, object], next_action: NextAction) -> Iterator[Moment]:
+def play(env: ManiSkillEnv, *, options: Mapping[str, object], next_action: NextAction) -> Iterator[FilmMoment]:
     """Play an episode until it ends or no action comes.
 
     Whoever takes a moment finds the environment as it is then.
@@ -70,7 +70,7 @@ def play(env: ManiSkillEnv, *, options: Mapping[str, object], next_action: NextA
     observation, info = env.reset(options=options)
     env_step, total_reward = 0, 0.0
     while True:
-        yield Moment(env_step=env_step, total_reward=total_reward, end_reason=info["end_reason"])
+        yield FilmMoment(env_step=env_step, total_reward=total_reward, end_reason=info["end_reason"])
         action = next_action(observation, info) if info["end_reason"] is None else None
         if action is None:
             return
@@ -78,7 +78,7 @@ def play(env: ManiSkillEnv, *, options: Mapping[str, object], next_action: NextA
         env_step, total_reward = env_step + 1, total_reward + reward
 
 
-def shots(env: ManiSkillEnv, moments: Iterator[Moment], is_wanted: Callable[[int], bool]) -> Iterator[Shot]:
+def shots(env: ManiSkillEnv, moments: Iterator[FilmMoment], is_wanted: Callable[[int], bool]) -> Iterator[Shot]:
     """Draw the moments after some env steps, and the last one.
 
     Args:

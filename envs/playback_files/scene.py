@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..drawing.drawable import NotDrawable, find_perspective
-from ..drawing.playback import Moment, Playback
+from ..drawing.playback import EpisodePlayback, Moment
 from ..drawing.scene_view import cauchy_stress_pa, contact_pressure_pa, deformation_gradients, nodal_means
 from ..fem.contact.forces import PairForces
 from ..scene.gripper import SENSOR_COUNT
@@ -78,7 +78,7 @@ DEFAULT_VIEW = (-38.0, 24.0)
 """Azimuth and elevation [deg] for a task without a perspective."""
 
 
-def pack_scene(playback: Playback, *, at_most: int = SCENE_BYTES) -> bytes:
+def pack_scene(playback: EpisodePlayback, *, at_most: int = SCENE_BYTES) -> bytes:
     """Return the file of an episode.
 
     Args:
@@ -99,7 +99,7 @@ def pack_scene(playback: Playback, *, at_most: int = SCENE_BYTES) -> bytes:
     raise PlaybackTooLarge(f"Expected a playback of at most {at_most} bytes, got {size} for {len(ends) - 1} env steps.")
 
 
-def _packed(playback: Playback, moments: list[Moment]) -> bytes:
+def _packed(playback: EpisodePlayback, moments: list[Moment]) -> bytes:
     ends = [playback.moments[index] for index in playback.last_moments]
     surface = np.unique(playback.gel.surface_triangles)
     pressures_pa = np.array([_pressures_pa(playback, moment) for moment in moments])
@@ -211,14 +211,14 @@ def _sensor_poses_mm(moment: Moment) -> FloatArray:
     return np.array([[*pose.rotation.ravel(), *(1e3 * pose.centre_m)] for pose in moment.sensor_poses])
 
 
-def _displacements_mm(playback: Playback, moment: Moment, surface: NDArray[np.int64]) -> FloatArray:
+def _displacements_mm(playback: EpisodePlayback, moment: Moment, surface: NDArray[np.int64]) -> FloatArray:
     """Return how far each node is from where the undeformed gel has it, in the gel's frame [mm], shape [2, s, 3]."""
     pairs = zip(moment.gel_nodes_m, moment.sensor_poses, strict=True)
     rest_m = playback.gel.rest_position_m[surface]
     return np.array([1e3 * ((nodes_m[surface] - pose.centre_m) @ pose.rotation - rest_m) for nodes_m, pose in pairs])
 
 
-def _pressures_pa(playback: Playback, moment: Moment) -> FloatArray:
+def _pressures_pa(playback: EpisodePlayback, moment: Moment) -> FloatArray:
     """Return the contact pressure at the sensing nodes of both gels [Pa], shape [2, s]."""
     gel = playback.gel
     triangles = SensingSurface.from_gel(gel).triangles
@@ -235,7 +235,7 @@ def _pressures_pa(playback: Playback, moment: Moment) -> FloatArray:
     return np.array(pressures)
 
 
-def _held_pose_mm(playback: Playback, moment: Moment) -> FloatArray:
+def _held_pose_mm(playback: EpisodePlayback, moment: Moment) -> FloatArray:
     """Return the affine map of the held part from its own frame: its matrix' rows, then the place [mm], shape [12]."""
     own_mm = 1e3 * playback.held.vertices_m
     homogeneous = np.column_stack([own_mm, np.ones(len(own_mm))])

@@ -11,8 +11,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..drawing.playback import Moment, Playback
-from ..drawing.projection import Frame
+from ..drawing.playback import EpisodePlayback, Moment
+from ..drawing.projection import PictureCrop
 from ..drawing.scene_view import displacement_m
 from ..geometry.solid import prism_faces, rectangle, solid_from_faces
 from ..scene.gripper import SensorPose
@@ -58,7 +58,7 @@ class _Box(NamedTuple):
         return Part(placed_m, solid.triangles, linear(LOOK[self.colour]))
 
 
-def list_framed_points(playback: Playback) -> FloatArray:
+def list_framed_points(playback: EpisodePlayback) -> FloatArray:
     """Return the points that the player's camera has in its picture: the parts and the gripper at both ends [m]."""
     ends = (playback.moments[0], playback.moments[-1])
     return np.concatenate(
@@ -70,13 +70,13 @@ def list_framed_points(playback: Playback) -> FloatArray:
     )
 
 
-def _fixed(playback: Playback) -> tuple[FloatArray, IndexArray]:
+def _fixed(playback: EpisodePlayback) -> tuple[FloatArray, IndexArray]:
     """Return vertices [m] and triangles of the fixed part, cut open where its task says so."""
     perspective, surface = look_up_perspective(playback.env_id), (playback.fixed_m, playback.fixed.triangles)
     return surface if perspective is None else cut_open(*surface, perspective.cut)
 
 
-def list_parts(playback: Playback) -> list[Part]:
+def list_parts(playback: EpisodePlayback) -> list[Part]:
     """Return everything that is seen; gels are coloured by displacement, on the scale of the episode."""
     moment, gel = playback.moments[-1], playback.gel
     parts = [
@@ -99,7 +99,7 @@ def list_parts(playback: Playback) -> list[Part]:
     return parts + [box.part() for box in _gripper(playback, moment)]
 
 
-def _gripper(playback: Playback, moment: Moment) -> list[_Box]:
+def _gripper(playback: EpisodePlayback, moment: Moment) -> list[_Box]:
     """Return housing, frame and finger behind each gel, and last the palm, away from the fixed part."""
     left, right = moment.sensor_poses
     first = playback.moments[0].sensor_poses[0]
@@ -124,7 +124,7 @@ def _gripper(playback: Playback, moment: Moment) -> list[_Box]:
     return [*fingers, _Box("shell", palm_mm, np.array([palm_x, 0.0, 0.0]), middle)]
 
 
-def _corners_of_gripper(playback: Playback, moment: Moment) -> FloatArray:
+def _corners_of_gripper(playback: EpisodePlayback, moment: Moment) -> FloatArray:
     """Return the corners of a box around each sensor with its finger, and of the palm [m]."""
     *sensors, palm = _gripper(playback, moment)
     found = []
@@ -157,7 +157,7 @@ _DEPTH_LEVELS = 254
 """Depths are 1 to 255 between the nearest and the farthest; 0 is unknown."""
 
 
-def pack_cameras(playback: Playback, *, at_most: int = CAMERAS_BYTES) -> bytes | None:
+def pack_cameras(playback: EpisodePlayback, *, at_most: int = CAMERAS_BYTES) -> bytes | None:
     """Return the file of an episode; None where the task has no camera rig.
 
     Args:
@@ -171,7 +171,7 @@ def pack_cameras(playback: Playback, *, at_most: int = CAMERAS_BYTES) -> bytes |
     sights = [moment.sight for moment in moments if moment.sight is not None]
     if not sights:
         return None
-    frame, size = Frame.around(sights), 0
+    frame, size = PictureCrop.around(sights), 0
     for every in _EVERY_PX:
         content = _packed(sights, frame, every)
         size = len(content)
@@ -180,7 +180,7 @@ def pack_cameras(playback: Playback, *, at_most: int = CAMERAS_BYTES) -> bytes |
     raise PlaybackTooLarge(f"Expected camera pictures of at most {at_most} bytes, got {size} for {len(sights)} looks.")
 
 
-def _packed(sights: list[Sight], frame: Frame, every_px: int) -> bytes:
+def _packed(sights: list[Sight], frame: PictureCrop, every_px: int) -> bytes:
     rows, columns = (slice(part.start, part.stop, every_px) for part in (frame.rows, frame.columns))
     palette, indices = _indexed(np.stack([sight.colours[rows, columns] for sight in sights]))
     depths_mm = 1e3 * np.stack([sight.depth_m[rows, columns] for sight in sights]).astype(np.float64)
@@ -208,7 +208,7 @@ def _indexed(colours: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.
     return palette, indices.reshape(colours.shape[:-1]).astype(np.uint8)
 
 
-def _depth_levels(depths_mm: NDArray[np.float64], frame: Frame) -> NDArray[np.uint8]:
+def _depth_levels(depths_mm: NDArray[np.float64], frame: PictureCrop) -> NDArray[np.uint8]:
     reach_mm = max(frame.farthest_mm - frame.nearest_mm, 1e-3)
     levels = 1 + np.rint((depths_mm - frame.nearest_mm) / reach_mm * _DEPTH_LEVELS)
     return np.where(depths_mm > 0, np.clip(levels, 1, 1 + _DEPTH_LEVELS), 0).astype(np.uint8)

@@ -11,11 +11,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..drawing.playback import Playback
+from ..drawing.playback import EpisodePlayback
 from ..vision.look import unit_normals
 from ..vision.optics import Intrinsics
 from ..vision.pinhole import CameraPose
-from ..vision.rasterizer import View, rasterize
+from ..vision.rasterizer import RenderedView, rasterize
 from .scene import DEFAULT_VIEW, look_up_perspective
 from .stage import LOOK, Part, linear, list_framed_points, list_parts
 
@@ -64,7 +64,9 @@ class _Camera(NamedTuple):
         distance_m = (depth + reach / (_FILLED * tan(_HALF_FIELD))).max()
         return cls.looking_at(middle @ axes, towards, float(distance_m), _HALF_FIELD, (HEIGHT_PX, WIDTH_PX))
 
-    def see(self, vertices_m: FloatArray, triangles: IndexArray, shift: tuple[float, float] = (0.0, 0.0)) -> View:
+    def see(
+        self, vertices_m: FloatArray, triangles: IndexArray, shift: tuple[float, float] = (0.0, 0.0)
+    ) -> RenderedView:
         """Return which triangle is in each pixel, looked at in a place of it [pixel]."""
         height, width = self.size
         centre = (0.5 * width - shift[0], 0.5 * height - shift[1])
@@ -86,7 +88,7 @@ class _Camera(NamedTuple):
         return np.asarray(x[None, :, None] * right + y[:, None, None] * down + along)
 
 
-def draw_still(playback: Playback) -> NDArray[np.uint8]:
+def draw_still(playback: EpisodePlayback) -> NDArray[np.uint8]:
     """Return red, green, blue and opacity of the last moment, shape [HEIGHT_PX, WIDTH_PX, 4]."""
     return _Scene(playback).picture()
 
@@ -94,7 +96,7 @@ def draw_still(playback: Playback) -> NDArray[np.uint8]:
 class _Scene:
     """Everything that is seen, where from, and how each triangle is lit."""
 
-    def __init__(self, playback: Playback) -> None:
+    def __init__(self, playback: EpisodePlayback) -> None:
         perspective = look_up_perspective(playback.env_id)
         self._fixed_shift_m = playback.moments[-1].fixed_shift_m
         self._floor_m = float(playback.fixed_m[:, 2].min()) - 5e-5
@@ -188,7 +190,7 @@ class _Scene:
             lit += (nearest_m == 0.0) | (seen_m[..., 2] < nearest_m + _SHADOW_SLACK_M)
         return lit / 4.0
 
-    def _has_edge(self, view: View) -> NDArray[np.bool_]:
+    def _has_edge(self, view: RenderedView) -> NDArray[np.bool_]:
         """Return the pixels whose neighbour to the right or below is beyond an edge of a part with ink."""
         is_inked, part, normals = (
             np.append(values, values[:1], axis=0)[view.triangle]

@@ -32,7 +32,7 @@ class NotAHeightField(VitacError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Line:
+class MeshLine:
     """A straight line in the plane that the edges of a mesh have to follow.
 
     Attributes:
@@ -80,7 +80,7 @@ class HeightField:
         """Cosine of the angle between those faces and the base, shape [f]."""
         return np.asarray(self._slope[self._is_upper])
 
-    def lines(self, *, crease_cosine: float) -> Iterator[Line]:
+    def lines(self, *, crease_cosine: float) -> Iterator[MeshLine]:
         """Yield walls, and creases whose faces' normals have a smaller cosine than this."""
         surface = self._surface
         first, second = surface.triangles_of_edges.T
@@ -89,7 +89,7 @@ class HeightField:
         is_wall = self._is_upper[first] ^ self._is_upper[second]
         for index in np.flatnonzero(is_wall | (both & (cosine < crease_cosine))):
             (ax, ay, _), (bx, by, _) = surface.vertices_mm[surface.edges[index]].tolist()
-            yield Line(first=(ax, ay), second=(bx, by), is_wall=bool(is_wall[index]))
+            yield MeshLine(first=(ax, ay), second=(bx, by), is_wall=bool(is_wall[index]))
 
 
 @allocating_kernel
@@ -149,7 +149,7 @@ _STRAIGHT_MM = 0.04
 _MAX_ENDS = 4000
 
 
-def add_outlines(plane: PlaneMesh, lines: list[Line], half_mm: PlanePoint) -> None:
+def add_outlines(plane: PlaneMesh, lines: list[MeshLine], half_mm: PlanePoint) -> None:
     """Add lines to a plane mesh.
 
     Args:
@@ -176,7 +176,7 @@ def convert_to_mm(point: Point) -> PlanePoint:
     return point[0] / GRID_PER_MM, point[1] / GRID_PER_MM
 
 
-def _pieces(lines: list[Line], half_mm: PlanePoint) -> Pieces:
+def _pieces(lines: list[MeshLine], half_mm: PlanePoint) -> Pieces:
     """Return all lines cut where the ends of others lie on them, each piece once; not those on the base's edge."""
     ends = _snapped([end for line in lines for end in (line.first, line.second)], half_mm)
     points = np.array([*dict.fromkeys(ends)]).reshape(-1, 2)

@@ -14,7 +14,7 @@ from vitac.errors import VitacError
 
 from .columns import Columns
 from .crossings import farthest
-from .height_field import HeightField, Line, add_outlines, convert_to_mm, heights_of_faces_mm, snap_to_grid
+from .height_field import HeightField, MeshLine, add_outlines, convert_to_mm, heights_of_faces_mm, snap_to_grid
 from .plane_mesh import GRID_PER_MM, PlaneMesh, TooManyPoints
 from .sampling import pulled_corners, samples_of_triangles_mm
 from .surface import DrawnSurface
@@ -157,7 +157,7 @@ def max_distance_mm(first: DrawnSurface, second: DrawnSurface) -> float:
     return max(float(there), float(back))
 
 
-def _outlined(lines: list[Line], goal: MeshGoal) -> PlaneMesh:
+def _outlined(lines: list[MeshLine], goal: MeshGoal) -> PlaneMesh:
     """Return the plane mesh of the base with the outlines of the faces and nothing else."""
     half_mm = (0.5 * goal.length_mm, 0.5 * goal.width_mm)
     plane = PlaneMesh(snap_to_grid(half_mm[0]), snap_to_grid(half_mm[1]), max_points=goal.max_nodes // 2)

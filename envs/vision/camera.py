@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from .look import CHALLENGE_LOOK, Look, colour_picture, depth_picture, segmentation_picture, unit_normals
 from .optics import COLOUR_INTRINSICS, HEIGHT_PX, WIDTH_PX, point_cloud
 from .pinhole import CameraPose, ObjectClouds, draw_points, object_clouds
-from .rasterizer import Body, FloatArray, Label, View, VisibleSurfaces, rasterize
+from .rasterizer import Body, FloatArray, Label, RenderedView, VisibleSurfaces, rasterize
 from .stereo.camera import InfraredPair, depth_of_pair, draw_noise_keys, infrared_pair
 
 
@@ -46,7 +46,7 @@ class Sight:
         self._cloud_draws = draw_points(random)
 
     @cached_property
-    def _view(self) -> View:
+    def _view(self) -> RenderedView:
         in_camera_m = self.pose.transform_to_camera(self._vertices_m)
         return rasterize(
             in_camera_m, self._surfaces.triangles, COLOUR_INTRINSICS, height_px=HEIGHT_PX, width_px=WIDTH_PX

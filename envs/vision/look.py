@@ -11,7 +11,7 @@ from ..compilation import kernel
 from ..deterministic_math import sine_cosine
 from ..fem.model.mesh import SurfaceMesh
 from ..geometry.solid import prism_faces, rectangle, solid_from_faces
-from .rasterizer import IndexArray, Label, View, VisibleSurfaces
+from .rasterizer import IndexArray, Label, RenderedView, VisibleSurfaces
 
 FloatArray = NDArray[np.float64]
 
@@ -162,7 +162,7 @@ _DARK_AND_GAIN |= {
 
 
 def colour_picture(
-    view: View, surfaces: VisibleSurfaces, vertices_m: FloatArray, look: Look = CHALLENGE_LOOK
+    view: RenderedView, surfaces: VisibleSurfaces, vertices_m: FloatArray, look: Look = CHALLENGE_LOOK
 ) -> NDArray[np.uint8]:
     """Return the flat-lit picture on a white background, shape [height, width, 3], red, green, blue.
 
@@ -182,12 +182,12 @@ def colour_picture(
     return picture
 
 
-def depth_picture(view: View) -> NDArray[np.float32]:
+def depth_picture(view: RenderedView) -> NDArray[np.float32]:
     """Return the exact distances along the optical axis [m], 0 where nothing is seen, shape [height, width]."""
     return view.depth_m.astype(np.float32)
 
 
-def segmentation_picture(view: View, surfaces: VisibleSurfaces) -> NDArray[np.uint8]:
+def segmentation_picture(view: RenderedView, surfaces: VisibleSurfaces) -> NDArray[np.uint8]:
     """Return `Label` of every pixel, shape [height, width]."""
     picture = np.full(view.triangle.shape, Label.NOTHING, dtype=np.uint8)
     labels = np.append(surfaces.labels, np.uint8(Label.NOTHING))

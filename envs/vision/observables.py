@@ -3,20 +3,14 @@
 from typing import TYPE_CHECKING, Protocol
 
 from ..observable import BackProjection, Observable
+from ..scene.observables import HasGrasp
 from .optics import COLOUR_INTRINSICS, HEIGHT_PX, POINTS_PER_OBJECT, TACTILE_HEIGHT_PX, TACTILE_WIDTH_PX, WIDTH_PX
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from ..scene.grasped_scene import GraspedScene
     from .camera import Sight
-
-
-class HasGrasp(Protocol):
-    """A task's scene in which a gripper with two tactile sensors holds a part."""
-
-    grasped: "GraspedScene"
 
 
 class HasSight(Protocol):

@@ -27,7 +27,7 @@ _MARGIN_PX = 1
 
 
 class _Screen(NamedTuple):
-    """What is drawn on: a camera's intrinsics, the smallest depth it sees [m], and the arrays of a `View`."""
+    """What is drawn on: a camera's intrinsics, the smallest depth it sees [m], and the arrays of a `RenderedView`."""
 
     intrinsics: Intrinsics
     near_m: float
@@ -36,7 +36,7 @@ class _Screen(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class View:
+class RenderedView:
     """What a camera sees.
 
     Attributes:
@@ -65,7 +65,7 @@ def rasterize(
     height_px: int,
     width_px: int,
     near_m: float = NEAR_M,
-) -> View:
+) -> RenderedView:
     """Find the nearest triangle along every pixel's ray, from either side; the first of equals.
 
     Args:
@@ -79,7 +79,7 @@ def rasterize(
     depth_m = np.zeros((height_px, width_px))
     triangle = np.full((height_px, width_px), NO_TRIANGLE, dtype=np.int32)
     _draw_all(vertices_m, triangles, _Screen(intrinsics, near_m, depth_m, triangle))
-    return View(depth_m=depth_m, triangle=triangle)
+    return RenderedView(depth_m=depth_m, triangle=triangle)
 
 
 @large_kernel

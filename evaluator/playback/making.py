@@ -25,9 +25,9 @@ from ..tracks import Episode, Task, load_track
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-    from vitac.envs.drawing.playback import Playback
+    from vitac.envs.drawing.playback import EpisodePlayback
     from vitac.envs.maniskill.env import ManiSkillEnv
-    from vitac.envs.maniskill.film import Moment
+    from vitac.envs.maniskill.film import FilmMoment
     from vitac.envs.tactile.design import SensorDesign
 
 FORMAT: Final = 3
@@ -153,7 +153,7 @@ def make_film(
 
 def _as_recorded(
     env: "ManiSkillEnv", task: Task, record: EpisodeRecord, on_step: Callable[[int], None], list_seed: int | None
-) -> "Iterator[Moment]":
+) -> "Iterator[FilmMoment]":
     """Play the recorded actions, and compare every state before it is drawn."""
     from vitac.envs.maniskill.film import play
 
@@ -202,7 +202,7 @@ def replay(
     on_step: OnStep,
     list_seed: int | None = None,
     sensor: "SensorDesign | None" = None,
-) -> "Playback":
+) -> "EpisodePlayback":
     """Return the re-simulated episode of a record.
 
     Raises:
@@ -245,7 +245,7 @@ def can_draw() -> bool:
     return find_spec("PIL") is not None
 
 
-def _write_still(playback: "Playback", path: Path) -> None:
+def _write_still(playback: "EpisodePlayback", path: Path) -> None:
     from PIL import Image
     from vitac.envs.playback_files.still import draw_still
 

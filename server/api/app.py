@@ -18,7 +18,7 @@ from ..operations.housekeeping import Housekeeping
 from ..principals import Principal
 from ..services import Services, open_services
 from ..settings import Settings
-from ..submissions.watch import Changes
+from ..submissions.watch import SubmissionWatch
 from . import (
     appeals,
     by_hand,
@@ -87,7 +87,7 @@ def create_app(
     app.state.settings = settings
     app.state.services = services
     app.state.caller = caller
-    app.state.changes = Changes()
+    app.state.changes = SubmissionWatch()
     set_limiters(app, settings)
     _add_routes(app)
     _add_middleware(app, settings, uploads_at)

@@ -29,7 +29,7 @@ from ..submissions import disqualification, files, listing, runs, sensors, trial
 from ..submissions.comparison import MAX_COMPARED, compare_results
 from ..submissions.intake import AnnouncedUpload
 from ..submissions.listing import model_card
-from ..submissions.watch import Changes, watch
+from ..submissions.watch import SubmissionWatch, watch
 from ..views.comparisons import ComparisonView
 from ..views.receipts import ActionMatchView
 from ..views.submissions import (
@@ -464,7 +464,7 @@ def _require_own(services: Services, principal: Principal, submission_id: UUID) 
 async def _events(
     request: Request, services: Services, principal: Principal, submission_id: UUID
 ) -> AsyncIterator[ServerSentEvent]:
-    changes: Changes = request.app.state.changes
+    changes: SubmissionWatch = request.app.state.changes
     watching = watch(services.database, services.settings, principal, submission_id, changes)
     async with aclosing(watching) as views:
         async for view in views:

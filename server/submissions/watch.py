@@ -70,7 +70,7 @@ class Watched:
         await asyncio.sleep(PAUSE_S)
 
 
-class Changes:
+class SubmissionWatch:
     """Tells the streams of a process which submissions have changed, over one connection of its own."""
 
     def __init__(self) -> None:
@@ -120,7 +120,7 @@ class Changes:
 
 
 async def watch(
-    database: Database, settings: Settings, by: Principal, submission_id: UUID, changes: Changes
+    database: Database, settings: Settings, by: Principal, submission_id: UUID, changes: SubmissionWatch
 ) -> AsyncGenerator[SubmissionView, None]:
     """Yield the submission now and after each change, until its evaluation has ended.
 

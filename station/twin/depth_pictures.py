@@ -58,7 +58,7 @@ class DepthCameraTwin:
 
 
 def _handler(twin: DepthCameraTwin) -> type[BaseHTTPRequestHandler]:
-    class Handler(BaseHTTPRequestHandler):
+    class DepthHandler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             body = json.dumps(twin.about).encode() if self.path == "/about" else twin.take_pair()
             self.send_response(200 if body else 503)
@@ -69,4 +69,4 @@ def _handler(twin: DepthCameraTwin) -> type[BaseHTTPRequestHandler]:
         def log_message(self, *_: object) -> None:
             """Write nothing for each request."""
 
-    return Handler
+    return DepthHandler

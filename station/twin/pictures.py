@@ -97,7 +97,7 @@ class CameraTwin:
 
 
 def _handler(twin: CameraTwin) -> type[BaseHTTPRequestHandler]:
-    class Handler(BaseHTTPRequestHandler):
+    class StreamHandler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             self.connection.setsockopt(SOL_SOCKET, SO_SNDBUF, _SENT_AHEAD_BYTES)
             self.send_response(200)
@@ -119,7 +119,7 @@ def _handler(twin: CameraTwin) -> type[BaseHTTPRequestHandler]:
         def log_message(self, *_: object) -> None:
             """Write nothing for each request."""
 
-    return Handler
+    return StreamHandler
 
 
 def _is_closed(connection: socket) -> bool:

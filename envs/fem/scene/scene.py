@@ -27,7 +27,7 @@ from ..model.settings import (
 )
 from ..solver.assembly import Workspace, new_workspace
 from ..solver.iterate import IpcStep, find_contacts, remember_step
-from ..solver.newton import SOLVED, UNSOLVED, UNSTABLE, Counter, Measure, Record, Tolerances, forces_at, solve_step
+from ..solver.newton import SOLVED, UNSOLVED, UNSTABLE, Counter, Record, StepMeasure, Tolerances, forces_at, solve_step
 from ..solver.path import BalancePath
 from .builder import build_model
 from .layout import NodeLayout, SceneError, check_bodies, check_settings
@@ -124,7 +124,7 @@ class _Attempt:
     near: Candidates | None = None
     saddle_escapes: int = 0
     record: Record = field(
-        default_factory=lambda: Record(np.zeros(len(Counter), dtype=np.int64), np.zeros(len(Measure)))
+        default_factory=lambda: Record(np.zeros(len(Counter), dtype=np.int64), np.zeros(len(StepMeasure)))
     )
 
     def towards(
@@ -245,11 +245,11 @@ class Scene:
             projected_iterations=int(counts[Counter.PROJECTED_ITERATIONS]),
             unstable_solutions=int(counts[Counter.UNSTABLE]),
             saddle_escapes=attempt.saddle_escapes,
-            residual_n=float(measures[Measure.RESIDUAL_N]),
+            residual_n=float(measures[StepMeasure.RESIDUAL_N]),
             net_force_n=force,
             net_torque_n_m=torque,
-            smallest_gap_m=float(measures[Measure.SMALLEST_GAP_M]),
-            smallest_det_f=float(measures[Measure.SMALLEST_DET_F]),
+            smallest_gap_m=float(measures[StepMeasure.SMALLEST_GAP_M]),
+            smallest_det_f=float(measures[StepMeasure.SMALLEST_DET_F]),
             active_contacts=int(counts[Counter.ACTIVE_CONTACTS]),
             gel_forces_n=self._gel_forces_n(self._workspace.system.gradient),
             largest_stretch=largest_stretch,

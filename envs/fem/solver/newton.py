@@ -118,7 +118,7 @@ class Counter(IntEnum):
     REUSING_ITERATIONS = 4
 
 
-class Measure(IntEnum):
+class StepMeasure(IntEnum):
     """Places in the array of measures that `solve_step` fills."""
 
     RESIDUAL_N = 0
@@ -127,7 +127,7 @@ class Measure(IntEnum):
 
 
 class Record(NamedTuple):
-    """What is counted and measured while solving, by `Counter` and `Measure`."""
+    """What is counted and measured while solving, by `Counter` and `StepMeasure`."""
 
     counts: IndexArray
     measures: FloatArray
@@ -227,6 +227,6 @@ def _keep(workspace: Workspace, residual: float, reused: bool, record: Record) -
     record.counts[Counter.REUSING_ITERATIONS] += int(reused)
     record.counts[Counter.ITERATIONS] += 1
     record.counts[Counter.ACTIVE_CONTACTS] = workspace.active[0]
-    record.measures[Measure.RESIDUAL_N] = residual
-    record.measures[Measure.SMALLEST_GAP_M] = workspace.smallest[0]
-    record.measures[Measure.SMALLEST_DET_F] = workspace.smallest[1]
+    record.measures[StepMeasure.RESIDUAL_N] = residual
+    record.measures[StepMeasure.SMALLEST_GAP_M] = workspace.smallest[0]
+    record.measures[StepMeasure.SMALLEST_DET_F] = workspace.smallest[1]

@@ -9,7 +9,7 @@ from ...compilation import kernel, large_kernel
 from ..look import unit_normals
 from ..optics import COLOUR_INTRINSICS, HEIGHT_PX, INFRARED_INTRINSICS, WIDTH_PX
 from ..pinhole import BASELINE_M, LEFT_INFRARED_X_M, RIGHT_INFRARED_X_M, CameraPose
-from ..rasterizer import NO_TRIANGLE, View, VisibleSurfaces, rasterize
+from ..rasterizer import NO_TRIANGLE, RenderedView, VisibleSurfaces, rasterize
 from .infrared import InfraredView, Projector, dot_pattern, infrared_picture
 from .matching import LARGEST_DISPARITY, MATCHES, NO_DISPARITY, PARTS, disparities, median_of_neighbours
 from .method import METHOD
@@ -110,7 +110,7 @@ def infrared_pair(
     vertices_m: FloatArray,
     *,
     pose: CameraPose,
-    colour_view: View,
+    colour_view: RenderedView,
     noise_keys: NoiseKeys,
 ) -> InfraredPair:
     """Take the two infrared pictures.
@@ -139,7 +139,7 @@ def infrared_pair(
     return InfraredPair(left=pictures[0], right=pictures[1])
 
 
-def depth_of_pair(pair: InfraredPair, colour_view: View) -> NDArray[np.float32]:
+def depth_of_pair(pair: InfraredPair, colour_view: RenderedView) -> NDArray[np.float32]:
     """Return the depth along the colour camera's axis as the stereo camera measures it [m], 0 where there is no match.
 
     Args:

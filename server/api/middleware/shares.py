@@ -55,7 +55,7 @@ _WITHOUT_BODY = frozenset({"GET", "HEAD", "OPTIONS"})
 
 
 @dataclass
-class Client:
+class ClientUse:
     """What one client uses now.
 
     Attributes:
@@ -95,7 +95,7 @@ class _Turn:
     """The place of a request, which it may have several times; `first`: before all others."""
 
     def __init__(
-        self, places: Places, shared: SharedTime, clients: Collection[Client], *, share: float, first: bool
+        self, places: Places, shared: SharedTime, clients: Collection[ClientUse], *, share: float, first: bool
     ) -> None:
         self._places, self._time, self._clients, self._share, self._first = places, shared, clients, share, first
         self._held = ExitStack()
@@ -155,7 +155,7 @@ class Shares(HttpMiddleware):
         self._apart = frozenset(apart)
         self._time = SharedTime()
         self._places = Places(AT_WORK)
-        self._clients: dict[str, Client] = {}
+        self._clients: dict[str, ClientUse] = {}
         self._accounts: dict[bytes, str] = {}
         self._is_warned = False
 
@@ -216,13 +216,13 @@ class Shares(HttpMiddleware):
                 return
         await self._app(scope, received, sent)
 
-    def _client(self, key: str) -> Client:
+    def _client(self, key: str) -> ClientUse:
         if len(self._clients) >= MAX_CLIENTS:
             for one in [one for one, client in self._clients.items() if client.is_idle(self._share)]:
                 del self._clients[one]
-        return self._clients.setdefault(key, Client(at_s=time.monotonic()))
+        return self._clients.setdefault(key, ClientUse(at_s=time.monotonic()))
 
-    def _refusal(self, key: str, client: Client) -> ServiceError | None:
+    def _refusal(self, key: str, client: ClientUse) -> ServiceError | None:
         if client.requests >= WAITING:
             return _too_many(f"{client.requests} of your requests are waiting, which is the maximum", 2)
         client.use(0.0, time.monotonic(), self._share)

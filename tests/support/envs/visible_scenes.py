@@ -12,7 +12,7 @@ from vitac.envs.geometry.pegs import PegShape, peg_surface
 from vitac.envs.tactile.gel import gelsight_mini_mesh
 from vitac.envs.vision.optics import COLOUR_INTRINSICS, HEIGHT_PX, WIDTH_PX, Intrinsics
 from vitac.envs.vision.pinhole import CameraPose, colour_camera_pose
-from vitac.envs.vision.rasterizer import Body, Label, View, VisibleSurfaces, rasterize
+from vitac.envs.vision.rasterizer import Body, Label, RenderedView, VisibleSurfaces, rasterize
 
 FloatArray = NDArray[np.float64]
 
@@ -89,7 +89,7 @@ class SeenScene:
 
     def view(
         self, intrinsics: Intrinsics = COLOUR_INTRINSICS, *, height_px: int = HEIGHT_PX, width_px: int = WIDTH_PX
-    ) -> View:
+    ) -> RenderedView:
         """What the camera sees."""
         vertices_m = self.pose.transform_to_camera(self.vertices_m)
         return rasterize(vertices_m, self.surfaces.triangles, intrinsics, height_px=height_px, width_px=width_px)

@@ -10,7 +10,7 @@ from seeded_site import SeededSite
 from service_factories import LEASE_S, TASK, make_record, take
 from sqlalchemy import update
 from vitac.envs.drawing.drawable import straight_to_target
-from vitac.envs.drawing.playback import Pace, Playback, record
+from vitac.envs.drawing.playback import EpisodePlayback, Pace, record
 from vitac.envs.playback_files.scene import pack_scene
 from vitac.envs.playback_files.stage import pack_cameras
 from vitac.evaluator.episodes.episode import make_environment
@@ -26,7 +26,7 @@ from vitac.server.queue.work import Claim, end
 
 
 @cache
-def guided(task: str, number: int) -> Playback:
+def guided(task: str, number: int) -> EpisodePlayback:
     """The real physics of an episode in which the held part goes straight to its target."""
     _, definition = find_task(task)
     env: Any = make_environment(definition)

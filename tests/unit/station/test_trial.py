@@ -19,7 +19,7 @@ from vitac.station.eyes import NoProcedure, OpenStation, open_station
 from vitac.station.outcome import TrialOutcome
 from vitac.station.rehearsal import RehearsalReport, TrialRecord
 from vitac.station.touch_gap import measure_touch_gap
-from vitac.station.trial import Attempt, Trial
+from vitac.station.trial import Attempt, StationTrial
 from vitac.station.twin.bench import HOLE
 from vitac.station.twin.hidden import PUBLIC_SETTINGS, HiddenSettings, TwinFault
 from vitac.station.twin.laboratory import RunningTwin, TwinStation, twin_process
@@ -70,7 +70,7 @@ def play(station: OpenStation, tmp_path: Path) -> Callable[..., tuple[Attempt, S
     def play_trial(act: Act, start: tuple[float, float, float] = START) -> tuple[Attempt, Scripted]:
         session = Scripted(act)
         episode = Episode(number=1, shape="cuboid", offset=start, offset_option="offset_mm_deg", list_seed=0)
-        trial = Trial(
+        trial = StationTrial(
             station,
             task=TASK,
             episode=episode,

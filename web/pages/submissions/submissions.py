@@ -20,7 +20,7 @@ from vitac.server.errors import TRACK_REMOVED
 from vitac.server.playbacks.stills import find_stills, list_stills
 from vitac.server.submissions.appeals import takes_appeals
 from vitac.server.submissions.listing import list_submissions
-from vitac.server.submissions.watch import Changes
+from vitac.server.submissions.watch import SubmissionWatch
 from vitac.server.tracks import known_task
 from vitac.server.views.comparisons import StillView
 from vitac.server.views.evaluations import TaskProgressView
@@ -134,7 +134,7 @@ async def events(request: Request) -> Response:
 
 
 async def _views(request: Request) -> AsyncIterator[ServerSentEvent]:
-    shown, changes = "", cast("Changes", request.app.state.changes)
+    shown, changes = "", cast("SubmissionWatch", request.app.state.changes)
     with changes.of(as_id(request.path_params["submission_id"])) as watched:
         while (viewer := await get_viewer(request)) is not None:
             seen = watched.version

@@ -9,7 +9,7 @@ from matplotlib.text import Text
 from vitac.envs.drawing.camera_view import DrawnQuantity
 from vitac.envs.drawing.drawable import NotDrawable, find_perspective, straight_to_target
 from vitac.envs.drawing.picture import Caption, Painter, draw, picture_size_px
-from vitac.envs.drawing.playback import Playback, record
+from vitac.envs.drawing.playback import EpisodePlayback, record
 from vitac.envs.drawing.sensor_view import arrows, magnification
 from vitac.envs.scene.perspective import DESCRIPTION
 from vitac.envs.tasks.lock_opening.env import LockOpeningEnv
@@ -19,14 +19,14 @@ CAPTION = Caption(title="Peg insertion, episode 5: trapezoid", actions=DESCRIPTI
 
 
 @pytest.fixture
-def lock_playback(fake_scenes: list[FakeScene], monkeypatch: pytest.MonkeyPatch) -> Playback:
+def lock_playback(fake_scenes: list[FakeScene], monkeypatch: pytest.MonkeyPatch) -> EpisodePlayback:
     monkeypatch.setattr(FakeScene, "bulge_m", -6e-4)
     env = LockOpeningEnv()
     options = {"shape": "key4", "offset_mm": (0.0, 0.0, 0.0), "rng_seed": (0, 1)}
     return record(env, options=options, next_action=straight_to_target(env.env_id))
 
 
-def painted(playback: Playback, quantity: DrawnQuantity = DrawnQuantity.STRESS) -> Painter:
+def painted(playback: EpisodePlayback, quantity: DrawnQuantity = DrawnQuantity.STRESS) -> Painter:
     return Painter(playback, CAPTION, quantity=quantity, width_px=600)
 
 
@@ -40,7 +40,7 @@ def rendered(figure: Figure) -> np.ndarray:
     return np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
 
 
-def test_draws_every_moment_at_the_size_that_was_asked_for(peg_playback: Playback) -> None:
+def test_draws_every_moment_at_the_size_that_was_asked_for(peg_playback: EpisodePlayback) -> None:
     pictures = list(draw(peg_playback, CAPTION, quantity=DrawnQuantity.STRESS, width_px=600))
     assert len(pictures) == len(peg_playback.moments)
     assert picture_size_px(600) == (600, 342)
@@ -48,13 +48,13 @@ def test_draws_every_moment_at_the_size_that_was_asked_for(peg_playback: Playbac
     assert all(picture.dtype == np.uint8 for picture in pictures)
 
 
-def test_the_same_episode_gives_the_same_picture(peg_playback: Playback) -> None:
+def test_the_same_episode_gives_the_same_picture(peg_playback: EpisodePlayback) -> None:
     first, second = (painted(peg_playback).picture(1) for _ in range(2))
     assert np.array_equal(first, second)
 
 
 @pytest.mark.slow
-def test_a_picture_shows_nothing_of_those_that_were_drawn_before(peg_playback: Playback) -> None:
+def test_a_picture_shows_nothing_of_those_that_were_drawn_before(peg_playback: EpisodePlayback) -> None:
     first, *others = peg_playback.moments
     believed = replace(first, belief_error=np.array([2.0, -1.0, 30.0]))
     playback = replace(peg_playback, moments=(believed, *others))
@@ -63,18 +63,18 @@ def test_a_picture_shows_nothing_of_those_that_were_drawn_before(peg_playback: P
         np.testing.assert_array_equal(painter.picture(index), painted(playback).picture(index))
 
 
-def test_moments_and_quantities_differ(peg_playback: Playback) -> None:
+def test_moments_and_quantities_differ(peg_playback: EpisodePlayback) -> None:
     stress = painted(peg_playback)
     assert not np.array_equal(stress.picture(0), stress.picture(2))
     assert not np.array_equal(stress.picture(0), painted(peg_playback, DrawnQuantity.DISPLACEMENT).picture(0))
 
 
-def test_only_chosen_moments_are_drawn(peg_playback: Playback) -> None:
+def test_only_chosen_moments_are_drawn(peg_playback: EpisodePlayback) -> None:
     (only,) = draw(peg_playback, CAPTION, quantity=DrawnQuantity.STRESS, width_px=600, moments=slice(2, 3))
     assert np.array_equal(only, painted(peg_playback).picture(2))
 
 
-def test_caption_says_step_offset_surface_motion_and_outcome(peg_playback: Playback) -> None:
+def test_caption_says_step_offset_surface_motion_and_outcome(peg_playback: EpisodePlayback) -> None:
     painter = painted(peg_playback)
     first, last = (texts(painter.figure(index)) for index in (0, len(peg_playback.moments) - 1))
     assert "after the grasp" in first
@@ -86,7 +86,7 @@ def test_caption_says_step_offset_surface_motion_and_outcome(peg_playback: Playb
     assert f"actions: {DESCRIPTION}" in last
 
 
-def test_caption_says_what_the_policy_believes_beside_what_is_true(peg_playback: Playback) -> None:
+def test_caption_says_what_the_policy_believes_beside_what_is_true(peg_playback: EpisodePlayback) -> None:
     moment = replace(peg_playback.moments[0], belief_error=np.array([0.5, -2.0, 0.25]))
     figure = painted(replace(peg_playback, moments=(moment, *peg_playback.moments[1:]))).figure(0)
     assert "believed: offset x −2.50 mm, y −0.50 mm, θ +6.25°" in texts(figure)
@@ -132,7 +132,7 @@ def test_lines_of_the_caption_stand_apart(task: str, request: pytest.FixtureRequ
         assert not any(line.overlaps(other) for other in [*lines[index + 1 :], *plots])
 
 
-def test_gels_are_coloured_and_the_ground_is_light(peg_playback: Playback) -> None:
+def test_gels_are_coloured_and_the_ground_is_light(peg_playback: EpisodePlayback) -> None:
     picture = painted(peg_playback).picture(0).astype(int)
     assert (picture[:4] == 255).all()
     scene = picture[:, :300]
@@ -140,7 +140,7 @@ def test_gels_are_coloured_and_the_ground_is_light(peg_playback: Playback) -> No
     assert 0.01 < reddish.mean() < 0.3
 
 
-def test_an_environment_without_a_view_is_refused(peg_playback: Playback) -> None:
+def test_an_environment_without_a_view_is_refused(peg_playback: EpisodePlayback) -> None:
     other = replace(peg_playback, env_id="ViTac/Other-v1")
     with pytest.raises(
         NotDrawable, match=r"views of ViTac/FusionInsertion-v1, ViTac/LockOpening-v1, .*ViTac/PegInsertion-v1"
@@ -158,7 +158,7 @@ def test_every_marker_has_one_arrow() -> None:
 
 @pytest.mark.parametrize(("longest_px", "expected"), [(0.0, 20), (2.0, 20), (4.0, 10), (20.0, 2), (80.0, 1)])
 def test_arrows_are_lengthened_as_far_as_they_stay_readable(
-    peg_playback: Playback, longest_px: float, expected: int
+    peg_playback: EpisodePlayback, longest_px: float, expected: int
 ) -> None:
     flow = np.zeros((2, 2, 128, 2), dtype=np.float32)
     flow[1, 1, 7, 0] = longest_px

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from fake_scene import FakeScene
 from vitac.envs.drawing.drawable import straight_to_target
-from vitac.envs.drawing.playback import TRUE_OFFSET, Pace, Playback, record
+from vitac.envs.drawing.playback import TRUE_OFFSET, EpisodePlayback, Pace, record
 from vitac.envs.tasks.lock_opening.env import LockOpeningEnv
 from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
 from vitac.envs.tasks.task_env import Info, Observation
@@ -71,14 +71,14 @@ def test_without_an_action_there_is_none_and_no_reward(fake_scenes: list[FakeSce
     assert playback.rewards.shape == (0,)
 
 
-def test_moments_do_not_change_with_the_scene(peg_playback: Playback) -> None:
+def test_moments_do_not_change_with_the_scene(peg_playback: EpisodePlayback) -> None:
     heights_m = [moment.held_m[:, 2].min() for moment in peg_playback.moments]
     assert np.diff(heights_m) == pytest.approx(-0.125e-3)
     first, last = peg_playback.moments[0], peg_playback.moments[-1]
     assert first.sensor_poses[0].centre_m[2] > last.sensor_poses[0].centre_m[2]
 
 
-def test_the_fixed_part_is_given_in_the_world(peg_playback: Playback) -> None:
+def test_the_fixed_part_is_given_in_the_world(peg_playback: EpisodePlayback) -> None:
     assert peg_playback.env_id == "ViTac/PegInsertion-v1"
     assert 1e3 * peg_playback.fixed_m.min(axis=0) == pytest.approx([-35, -25, 0])
     assert peg_playback.gel.rest_position_m.shape == (162, 3)
@@ -109,7 +109,7 @@ def test_what_a_policy_believes_is_kept_from_the_moment_at_which_it_looked(fake_
 
 
 def test_nothing_is_believed_where_nobody_is_asked_or_the_task_has_no_offset(
-    peg_playback: Playback, fake_scenes: list[FakeScene]
+    peg_playback: EpisodePlayback, fake_scenes: list[FakeScene]
 ) -> None:
     assert {moment.believed is None for moment in peg_playback.moments} == {True}
     options = {"shape": "key1", "offset_mm": (0.0, 0.0, 0.0), "rng_seed": (0, 1)}

@@ -7,7 +7,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
-from vitac.envs.drawing.playback import Playback
+from vitac.envs.drawing.playback import EpisodePlayback
 from vitac.envs.drawing.plots import draw_progress, draw_section
 from vitac.envs.geometry.pegs import PROFILES_MM, PegShape
 from vitac.envs.scene.perspective import Plane
@@ -21,7 +21,7 @@ def axes() -> Iterator[Axes]:
     plt.close(figure)
 
 
-def test_section_shows_the_hole_and_the_peg_at_its_offset(axes: Axes, peg_playback: Playback) -> None:
+def test_section_shows_the_hole_and_the_peg_at_its_offset(axes: Axes, peg_playback: EpisodePlayback) -> None:
     draw_section(axes, PERSPECTIVE, peg_playback, peg_playback.moments[0])
     plate, peg = axes.patches
     assert plate.get_path().get_extents().bounds == pytest.approx((-35.0, -25.0, 70.0, 50.0))
@@ -34,7 +34,7 @@ def test_section_shows_the_hole_and_the_peg_at_its_offset(axes: Axes, peg_playba
     assert (axes.get_xlabel(), axes.get_ylabel(), axes.get_title()) == ("x [mm]", "y [mm]", "hole and peg from above")
 
 
-def test_section_shows_the_peg_dashed_where_the_policy_believes_it(axes: Axes, peg_playback: Playback) -> None:
+def test_section_shows_the_peg_dashed_where_the_policy_believes_it(axes: Axes, peg_playback: EpisodePlayback) -> None:
     moment = peg_playback.moments[-1]
     draw_section(axes, PERSPECTIVE, peg_playback, replace(moment, belief_error=np.array([2.0, -1.0, 180.0])))
     _, peg, believed = axes.patches
@@ -45,7 +45,7 @@ def test_section_shows_the_peg_dashed_where_the_policy_believes_it(axes: Axes, p
     assert found == pytest.approx(np.add([low, high], [2.0, -1.0]), abs=0.05)
 
 
-def test_section_beyond_a_part_shows_nothing_of_it(axes: Axes, peg_playback: Playback) -> None:
+def test_section_beyond_a_part_shows_nothing_of_it(axes: Axes, peg_playback: EpisodePlayback) -> None:
     above = replace(PERSPECTIVE.section, fixed_cut=Plane(normal=(0.0, 0.0, 1.0), offset_m=1.0))
     draw_section(axes, replace(PERSPECTIVE, section=above), peg_playback, peg_playback.moments[0])
     plate, peg = axes.patches
@@ -54,7 +54,7 @@ def test_section_beyond_a_part_shows_nothing_of_it(axes: Axes, peg_playback: Pla
 
 
 @pytest.mark.parametrize("index", [0, 1, -1])
-def test_progress_is_drawn_up_to_the_present_moment(axes: Axes, peg_playback: Playback, index: int) -> None:
+def test_progress_is_drawn_up_to_the_present_moment(axes: Axes, peg_playback: EpisodePlayback, index: int) -> None:
     moments = peg_playback.moments
     draw_progress(axes, PERSPECTIVE.progress, peg_playback, range(len(moments))[index])
     corners = [line for line in axes.get_lines() if line.get_marker() == "o"]
@@ -65,7 +65,9 @@ def test_progress_is_drawn_up_to_the_present_moment(axes: Axes, peg_playback: Pl
         assert np.asarray(line.get_ydata()).tolist() == [moment.info["peg_relative_z_mm"][corner] for moment in shown]
 
 
-def test_progress_has_the_same_limits_at_every_moment_and_holds_the_goal(axes: Axes, peg_playback: Playback) -> None:
+def test_progress_has_the_same_limits_at_every_moment_and_holds_the_goal(
+    axes: Axes, peg_playback: EpisodePlayback
+) -> None:
     progress = PERSPECTIVE.progress
     draw_progress(axes, progress, peg_playback, 0)
     first = axes.get_ylim()
@@ -77,7 +79,7 @@ def test_progress_has_the_same_limits_at_every_moment_and_holds_the_goal(axes: A
     assert (label.get_text(), label.get_verticalalignment()) == ("success", "bottom")
 
 
-def test_goal_above_has_its_label_at_the_top(axes: Axes, peg_playback: Playback) -> None:
+def test_goal_above_has_its_label_at_the_top(axes: Axes, peg_playback: EpisodePlayback) -> None:
     upwards = replace(PERSPECTIVE.progress, goal_is_below=False, goal_mm=5.0)
     draw_progress(axes, upwards, peg_playback, 0)
     (label,) = axes.texts

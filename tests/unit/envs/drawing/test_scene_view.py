@@ -4,7 +4,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from vitac.envs.drawing.playback import Playback
+from vitac.envs.drawing.playback import EpisodePlayback
 from vitac.envs.drawing.scene_view import (
     SceneImage,
     SceneView,
@@ -27,18 +27,18 @@ def two_colours(values: FloatArray) -> FloatArray:
     return np.where(values[:, None] > 0.5, RED, BLUE)
 
 
-def constant(playback: Playback, left: float, right: float) -> tuple[FloatArray, FloatArray]:
+def constant(playback: EpisodePlayback, left: float, right: float) -> tuple[FloatArray, FloatArray]:
     nodes = len(playback.gel.rest_position_m)
     return np.full(nodes, left), np.full(nodes, right)
 
 
 @pytest.fixture
-def view(peg_playback: Playback) -> SceneView:
+def view(peg_playback: EpisodePlayback) -> SceneView:
     return SceneView(peg_playback, PERSPECTIVE, width_px=WIDTH_PX, height_px=HEIGHT_PX)
 
 
 @pytest.fixture
-def image(view: SceneView, peg_playback: Playback) -> SceneImage:
+def image(view: SceneView, peg_playback: EpisodePlayback) -> SceneImage:
     return view.image(peg_playback.moments[0], constant(peg_playback, 1.0, 0.0), two_colours)
 
 
@@ -58,7 +58,7 @@ def test_the_scene_fills_the_picture_in_one_direction(image: SceneImage) -> None
 
 
 @pytest.mark.parametrize(("width_px", "height_px"), [(80, 240), (400, 120)])
-def test_the_scene_fits_narrow_and_flat_pictures(peg_playback: Playback, width_px: int, height_px: int) -> None:
+def test_the_scene_fits_narrow_and_flat_pictures(peg_playback: EpisodePlayback, width_px: int, height_px: int) -> None:
     narrow = SceneView(peg_playback, PERSPECTIVE, width_px=width_px, height_px=height_px)
     rgb = narrow.image(peg_playback.moments[0], constant(peg_playback, 1.0, 0.0), two_colours).rgb
     rows, columns = np.nonzero((rgb < 1.0).any(axis=2))
@@ -67,7 +67,7 @@ def test_the_scene_fits_narrow_and_flat_pictures(peg_playback: Playback, width_p
     assert max(np.ptp(rows) / height_px, np.ptp(columns) / width_px) > 0.75
 
 
-def test_every_line_lies_within_the_picture(view: SceneView, peg_playback: Playback) -> None:
+def test_every_line_lies_within_the_picture(view: SceneView, peg_playback: EpisodePlayback) -> None:
     for moment in peg_playback.moments:
         image = view.image(moment, constant(peg_playback, 0.0, 0.0), two_colours)
         lines = [*image.lines, *image.faint_lines, *image.element_lines, *image.cut_lines]
@@ -87,7 +87,7 @@ def test_each_gel_has_the_colour_of_its_own_values(image: SceneImage) -> None:
         assert (np.ceil(high) >= [columns.max(), rows.max()]).all()
 
 
-def test_a_value_at_some_nodes_colours_that_part_of_the_gel(view: SceneView, peg_playback: Playback) -> None:
+def test_a_value_at_some_nodes_colours_that_part_of_the_gel(view: SceneView, peg_playback: EpisodePlayback) -> None:
     along = peg_playback.gel.rest_position_m[:, 0]
     half = np.where(along > 0.0, 1.0, 0.0)
     image = view.image(peg_playback.moments[0], (half, half), two_colours)
@@ -98,7 +98,9 @@ def test_a_value_at_some_nodes_colours_that_part_of_the_gel(view: SceneView, peg
     assert np.nonzero(is_red)[0].mean() > np.nonzero(is_blue)[0].mean() + 5
 
 
-def test_values_change_colours_and_nothing_else(view: SceneView, peg_playback: Playback, image: SceneImage) -> None:
+def test_values_change_colours_and_nothing_else(
+    view: SceneView, peg_playback: EpisodePlayback, image: SceneImage
+) -> None:
     swapped = view.image(peg_playback.moments[0], constant(peg_playback, 0.0, 1.0), two_colours)
     np.testing.assert_allclose(swapped.rgb[:, :, 1], image.rgb[:, :, 1], atol=1e-12)
     assert (swapped.rgb != image.rgb).any()
@@ -106,7 +108,7 @@ def test_values_change_colours_and_nothing_else(view: SceneView, peg_playback: P
     assert [line.tolist() for line in swapped.lines] == [line.tolist() for line in image.lines]
 
 
-def test_a_moment_looks_the_same_whatever_was_drawn_before(view: SceneView, peg_playback: Playback) -> None:
+def test_a_moment_looks_the_same_whatever_was_drawn_before(view: SceneView, peg_playback: EpisodePlayback) -> None:
     values, colours = constant(peg_playback, 0.3, 0.8), mpl.colormaps["viridis"]
     first = view.image(peg_playback.moments[0], values, colours).rgb
     other = view.image(peg_playback.moments[-1], values, colours).rgb
@@ -114,7 +116,7 @@ def test_a_moment_looks_the_same_whatever_was_drawn_before(view: SceneView, peg_
     np.testing.assert_array_equal(view.image(peg_playback.moments[0], values, colours).rgb, first)
 
 
-def test_the_held_part_is_drawn_where_it_goes(view: SceneView, peg_playback: Playback) -> None:
+def test_the_held_part_is_drawn_where_it_goes(view: SceneView, peg_playback: EpisodePlayback) -> None:
     first, last = peg_playback.moments[0], peg_playback.moments[-1]
     values = constant(peg_playback, 0.0, 0.0)
     start, end = (view.image(moment, values, two_colours).held_middle for moment in (first, last))

@@ -8,7 +8,7 @@ import pytest
 from fake_pick_cube import FakePickCube, in_place_of_maniskill
 from numpy.typing import NDArray
 from vitac.envs.maniskill.env import ManiSkillEnv, ManiSkillFailed
-from vitac.envs.maniskill.film import MAX_PICTURES, Moment, Shot, captioned, play, select_env_steps, shots
+from vitac.envs.maniskill.film import MAX_PICTURES, FilmMoment, Shot, captioned, play, select_env_steps, shots
 
 START = {"shape": "drawn", "variant": (0.0,), "rng_seed": (0, 1)}
 
@@ -48,7 +48,7 @@ def test_an_episode_is_played_to_its_end_or_to_the_last_action(fake: FakePickCub
 
 def test_an_episode_without_actions_is_its_start(fake: FakePickCube) -> None:
     (moment,) = play(made(), options=START, next_action=lambda _, __: None)
-    assert moment == Moment(env_step=0, total_reward=0.0, end_reason=None)
+    assert moment == FilmMoment(env_step=0, total_reward=0.0, end_reason=None)
     assert fake.commands == []
 
 

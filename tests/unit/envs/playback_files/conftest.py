@@ -1,13 +1,13 @@
 import pytest
 from fake_scene import FakeScene
 from vitac.envs.drawing.drawable import straight_to_target
-from vitac.envs.drawing.playback import Pace, Playback, record
+from vitac.envs.drawing.playback import EpisodePlayback, Pace, record
 from vitac.envs.tasks.fusion_insertion.env import FusionInsertionEnv
 from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
 
 
 @pytest.fixture
-def peg_playback(fake_scenes: list[FakeScene], monkeypatch: pytest.MonkeyPatch) -> Playback:
+def peg_playback(fake_scenes: list[FakeScene], monkeypatch: pytest.MonkeyPatch) -> EpisodePlayback:
     """A peg that goes into its hole, with gels that are pressed in by a fake of the physics."""
     monkeypatch.setattr(FakeScene, "bulge_m", -6e-4)
     env = PegInsertionEnv()
@@ -16,7 +16,7 @@ def peg_playback(fake_scenes: list[FakeScene], monkeypatch: pytest.MonkeyPatch) 
 
 
 @pytest.fixture
-def fusion_playback(fake_scenes: list[FakeScene]) -> Playback:
+def fusion_playback(fake_scenes: list[FakeScene]) -> EpisodePlayback:
     """Two env steps of a peg that cameras look at."""
     env = FusionInsertionEnv(max_steps=2)
     options = {"start": (0.0, 0.0, 0.0, 3.0, 1), "rng_seed": (0, 1)}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from unpacked_files import Unpacked, unpack
 from vitac.envs.drawing.drawable import NotDrawable
-from vitac.envs.drawing.playback import Playback
+from vitac.envs.drawing.playback import EpisodePlayback
 from vitac.envs.fem.contact.forces import PairForces, no_forces
 from vitac.envs.playback_files import scene
 from vitac.envs.playback_files.container import PlaybackTooLarge
@@ -12,22 +12,24 @@ from vitac.envs.playback_files.scene import PLACES, SCENE_BYTES, make_arrows, pa
 
 
 @pytest.fixture
-def peg_file(peg_playback: Playback) -> Unpacked:
+def peg_file(peg_playback: EpisodePlayback) -> Unpacked:
     return unpack(pack_scene(peg_playback))
 
 
-def test_a_usual_episode_is_a_small_part_of_what_is_possible(peg_playback: Playback) -> None:
+def test_a_usual_episode_is_a_small_part_of_what_is_possible(peg_playback: EpisodePlayback) -> None:
     assert len(pack_scene(peg_playback)) < SCENE_BYTES / 5
 
 
-def test_every_ipc_step_is_in_the_file(peg_playback: Playback, peg_file: Unpacked) -> None:
+def test_every_ipc_step_is_in_the_file(peg_playback: EpisodePlayback, peg_file: Unpacked) -> None:
     steps = peg_file.arrays["moment_env_steps"]
     assert steps.tolist() == [moment.env_step for moment in peg_playback.moments]
     for name in ("sensor_poses", "displacements", "pressures", "held_poses"):
         assert len(peg_file.arrays[name]) == len(steps), name
 
 
-def test_gels_are_where_they_were_to_a_hundredth_of_a_millimetre(peg_playback: Playback, peg_file: Unpacked) -> None:
+def test_gels_are_where_they_were_to_a_hundredth_of_a_millimetre(
+    peg_playback: EpisodePlayback, peg_file: Unpacked
+) -> None:
     arrays = peg_file.arrays
     unit_mm = peg_file.header["displacement_unit_mm"]
     for index in (0, 3, -1):
@@ -39,19 +41,19 @@ def test_gels_are_where_they_were_to_a_hundredth_of_a_millimetre(peg_playback: P
             np.testing.assert_allclose(world_mm, 1e3 * moment.gel_nodes_m[side], atol=1e-2)
 
 
-def test_the_held_part_is_where_it_was(peg_playback: Playback, peg_file: Unpacked) -> None:
+def test_the_held_part_is_where_it_was(peg_playback: EpisodePlayback, peg_file: Unpacked) -> None:
     for index in (0, -1):
         pose = peg_file.arrays["held_poses"][index].astype(float)
         world_mm = peg_file.arrays["held_vertices_mm"] @ pose[:9].reshape(3, 3).T + pose[9:]
         np.testing.assert_allclose(world_mm, 1e3 * peg_playback.moments[index].held_m, atol=1e-2)
 
 
-def test_the_fixed_part_does_not_move(peg_playback: Playback, peg_file: Unpacked) -> None:
+def test_the_fixed_part_does_not_move(peg_playback: EpisodePlayback, peg_file: Unpacked) -> None:
     np.testing.assert_allclose(peg_file.arrays["fixed_vertices_mm"], 1e3 * peg_playback.fixed_m, atol=1e-4)
     assert peg_file.arrays["fixed_triangles"].max() < len(peg_playback.fixed_m)
 
 
-def test_lost_markers_are_beside_the_flow_and_none_of_it(peg_playback: Playback, peg_file: Unpacked) -> None:
+def test_lost_markers_are_beside_the_flow_and_none_of_it(peg_playback: EpisodePlayback, peg_file: Unpacked) -> None:
     lost = peg_file.arrays["lost_markers"]
     unit_px = peg_file.header["flow_unit_px"]
     ends = [peg_playback.moments[index] for index in peg_playback.last_moments]
@@ -66,7 +68,7 @@ def test_lost_markers_are_beside_the_flow_and_none_of_it(peg_playback: Playback,
     assert found > 0
 
 
-def test_marker_flow_has_a_sixty_fourth_of_a_pixel(peg_playback: Playback, peg_file: Unpacked) -> None:
+def test_marker_flow_has_a_sixty_fourth_of_a_pixel(peg_playback: EpisodePlayback, peg_file: Unpacked) -> None:
     ends = [peg_playback.moments[index] for index in peg_playback.last_moments]
     unit_px = peg_file.header["flow_unit_px"]
     for name, which in (("flow_references", 0), ("flow_positions", 1)):
@@ -74,7 +76,7 @@ def test_marker_flow_has_a_sixty_fourth_of_a_pixel(peg_playback: Playback, peg_f
         np.testing.assert_allclose(unit_px * peg_file.arrays[name], flows, atol=1 / 128)
 
 
-def test_what_is_plotted_has_one_value_for_each_env_step(peg_playback: Playback, peg_file: Unpacked) -> None:
+def test_what_is_plotted_has_one_value_for_each_env_step(peg_playback: EpisodePlayback, peg_file: Unpacked) -> None:
     arrays, played = peg_file.arrays, len(peg_playback.rewards)
     assert arrays["action_values"].shape == (played, 3)
     np.testing.assert_allclose(arrays["rewards"], peg_playback.rewards, atol=0.006)
@@ -91,7 +93,7 @@ def test_pressed_gels_have_a_contact_pressure(peg_file: Unpacked) -> None:
     assert len(peg_file.arrays["sensing_nodes"]) == pressures.shape[2]
 
 
-def test_moments_between_env_steps_are_left_out_until_the_file_is_small_enough(peg_playback: Playback) -> None:
+def test_moments_between_env_steps_are_left_out_until_the_file_is_small_enough(peg_playback: EpisodePlayback) -> None:
     whole = len(pack_scene(peg_playback))
     found = unpack(pack_scene(peg_playback, at_most=whole - 1)).arrays
     assert len(found["moment_env_steps"]) < len(peg_playback.moments)
@@ -99,12 +101,12 @@ def test_moments_between_env_steps_are_left_out_until_the_file_is_small_enough(p
     assert set(found["moment_env_steps"].tolist()) == {moment.env_step for moment in peg_playback.moments}
 
 
-def test_an_episode_that_cannot_be_made_small_is_refused(peg_playback: Playback) -> None:
+def test_an_episode_that_cannot_be_made_small_is_refused(peg_playback: EpisodePlayback) -> None:
     with pytest.raises(PlaybackTooLarge, match="at most 100 bytes, got"):
         pack_scene(peg_playback, at_most=100)
 
 
-def test_an_episode_that_ended_at_its_start_has_one_moment(peg_playback: Playback) -> None:
+def test_an_episode_that_ended_at_its_start_has_one_moment(peg_playback: EpisodePlayback) -> None:
     first = replace(
         peg_playback,
         moments=peg_playback.moments[:1],
@@ -117,7 +119,7 @@ def test_an_episode_that_ended_at_its_start_has_one_moment(peg_playback: Playbac
 
 
 def test_a_task_that_is_not_drawn_is_played_all_the_same(
-    peg_playback: Playback, monkeypatch: pytest.MonkeyPatch
+    peg_playback: EpisodePlayback, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def undrawn(env_id: str) -> None:
         raise NotDrawable(env_id)
@@ -128,7 +130,7 @@ def test_a_task_that_is_not_drawn_is_played_all_the_same(
     assert "heights_mm" not in found.arrays
 
 
-def test_nobody_reads_exact_actions_out_of_the_file(peg_playback: Playback, peg_file: Unpacked) -> None:
+def test_nobody_reads_exact_actions_out_of_the_file(peg_playback: EpisodePlayback, peg_file: Unpacked) -> None:
     """Neither where they are plotted, nor from where the gripper was before and after."""
     shown = peg_file.arrays["action_values"].astype(float)
     np.testing.assert_array_equal(shown, peg_playback.actions.round(2).astype(np.float32))
@@ -138,7 +140,7 @@ def test_nobody_reads_exact_actions_out_of_the_file(peg_playback: Playback, peg_
     np.testing.assert_allclose(rotations, rotations.round(4), atol=1e-6)
 
 
-def test_arrows_of_the_gels_are_as_large_as_their_forces(peg_playback: Playback, peg_file: Unpacked) -> None:
+def test_arrows_of_the_gels_are_as_large_as_their_forces(peg_playback: EpisodePlayback, peg_file: Unpacked) -> None:
     forces_n, arrows_n = peg_file.arrays["forces_n"], peg_file.arrays["arrow_forces_n"]
     assert len(forces_n) == len(arrows_n) == len(peg_playback.moments)
     np.testing.assert_allclose(np.linalg.norm(arrows_n[:, :2], axis=2), forces_n[:, 1:], atol=0.05)

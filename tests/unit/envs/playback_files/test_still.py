@@ -1,6 +1,6 @@
 import numpy as np
 from numpy.typing import NDArray
-from vitac.envs.drawing.playback import Playback
+from vitac.envs.drawing.playback import EpisodePlayback
 from vitac.envs.playback_files.still import HEIGHT_PX, WIDTH_PX, draw_still
 
 
@@ -9,7 +9,7 @@ def bounds(mask: NDArray[np.bool_]) -> tuple[int, int, int, int]:
     return int(rows[0]), int(rows[-1]), int(columns[0]), int(columns[-1])
 
 
-def test_the_still_has_the_whole_scene_in_its_middle_over_a_table_that_fades(peg_playback: Playback) -> None:
+def test_the_still_has_the_whole_scene_in_its_middle_over_a_table_that_fades(peg_playback: EpisodePlayback) -> None:
     still = draw_still(peg_playback)
     assert still.shape == (HEIGHT_PX, WIDTH_PX, 4)
     top, bottom, left, right = bounds(still[..., 3] == 255)
@@ -21,7 +21,7 @@ def test_the_still_has_the_whole_scene_in_its_middle_over_a_table_that_fades(peg
 
 
 def test_gels_are_coloured_by_how_far_they_are_moved_and_parts_have_the_colours_of_the_player(
-    peg_playback: Playback,
+    peg_playback: EpisodePlayback,
 ) -> None:
     red, green, blue = still_colours(peg_playback)
     assert (red > 1.5 * blue).mean() > 0.2, "the peg"
@@ -29,11 +29,11 @@ def test_gels_are_coloured_by_how_far_they_are_moved_and_parts_have_the_colours_
     assert ((abs(red - green) < 30) & (abs(green - blue) < 30)).mean() > 0.2, "plate and gripper"
 
 
-def still_colours(playback: Playback) -> NDArray[np.int64]:
+def still_colours(playback: EpisodePlayback) -> NDArray[np.int64]:
     still = draw_still(playback).astype(np.int64)
     return still[still[..., 3] == 255, :3].T
 
 
-def test_an_edge_between_pixels_is_smooth(peg_playback: Playback) -> None:
+def test_an_edge_between_pixels_is_smooth(peg_playback: EpisodePlayback) -> None:
     opacities = np.unique(draw_still(peg_playback)[: HEIGHT_PX // 4, :, 3])
     assert len(opacities[(opacities > 0) & (opacities < 255)]) >= 3

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from vitac.envs.sensor_design.height_field import (
     HeightField,
-    Line,
+    MeshLine,
     NotAHeightField,
     add_outlines,
     convert_to_mm,
@@ -109,15 +109,15 @@ HALF_MM = (12.0, 10.0)
 PlanePoint = tuple[float, float]
 
 
-def line(first: PlanePoint, second: PlanePoint, *, is_wall: bool = True) -> Line:
-    return Line(first=first, second=second, is_wall=is_wall)
+def line(first: PlanePoint, second: PlanePoint, *, is_wall: bool = True) -> MeshLine:
+    return MeshLine(first=first, second=second, is_wall=is_wall)
 
 
-def ring(points: list[PlanePoint], *, is_wall: bool = True) -> list[Line]:
+def ring(points: list[PlanePoint], *, is_wall: bool = True) -> list[MeshLine]:
     return [line(points[i - 1], points[i], is_wall=is_wall) for i in range(len(points))]
 
 
-def meshed(lines: list[Line], *, max_points: int = 1000) -> PlaneMesh:
+def meshed(lines: list[MeshLine], *, max_points: int = 1000) -> PlaneMesh:
     plane = PlaneMesh(snap_to_grid(HALF_MM[0]), snap_to_grid(HALF_MM[1]), max_points=max_points)
     add_outlines(plane, lines, HALF_MM)
     plane.conform(shortest=0.5 * GRID_PER_MM)

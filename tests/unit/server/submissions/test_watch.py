@@ -10,7 +10,7 @@ from vitac.server.database.engine import Database
 from vitac.server.database.states import EvaluationState
 from vitac.server.principals import Principal
 from vitac.server.submissions import watch as watching
-from vitac.server.submissions.watch import Changes, Watched, watch
+from vitac.server.submissions.watch import SubmissionWatch, Watched, watch
 
 
 def test_watching_gives_each_change_and_ends_with_the_evaluation(
@@ -20,11 +20,11 @@ def test_watching_gives_each_change_and_ends_with_the_evaluation(
     submission, _ = create(database, principal)
 
     async def follow() -> list[EvaluationState]:
-        changes = Changes()
+        changes = SubmissionWatch()
         async with changes.listening(database.address):
             return await asyncio.wait_for(followed(changes), 60.0)
 
-    async def followed(changes: Changes) -> list[EvaluationState]:
+    async def followed(changes: SubmissionWatch) -> list[EvaluationState]:
         states = []
         async for view in watch(database, SETTINGS, principal, submission.id, changes):
             if view.evaluation.state not in states:
@@ -53,7 +53,7 @@ def test_all_of_an_account_share_each_look_at_a_submission(monkeypatch: pytest.M
         return [first, await watched.look("Ants", make)]
 
     async def follow_all() -> None:
-        changes = Changes()
+        changes = SubmissionWatch()
         with changes.of(UUID(int=1)) as watched, changes.of(UUID(int=1)) as same:
             assert same is watched
             following = [asyncio.create_task(follow(watched)) for _ in range(100)]
