@@ -42,7 +42,7 @@ def run(
     identified: Annotated[
         Path | None,
         typer.Option(
-            help="File of `vitac station identify`: episodes have that station's frictions, gel and grasp.",
+            help="File of `vitac station identify`: episodes have that station's frictions, gel, grasp and cameras.",
             exists=True,
             dir_okay=False,
         ),

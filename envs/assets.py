@@ -16,7 +16,7 @@ from .geometry.stl import read_stl
 from .tactile.design import SensorDesign
 from .tactile.gel import arena_gel_mesh, coarse_arena_gel_mesh, coarse_gelsight_mini_mesh, gelsight_mini_mesh
 from .tactile.gel_files import read_gel
-from .tactile.markers import MarkerSettings
+from .tactile.markers import MarkerSettings, MountedMarkerSettings
 from .tactile.sensor import CoarseSensor, DesignedSensor, TactileSensor
 
 _GEL_FOLDER = "gelsight_mini_e430"
@@ -70,6 +70,8 @@ class Meshes:
         """Return the two sensors of a gripper, left and right."""
         left, right = self._sensor(settings), self._sensor(settings)
         left.sees_outside = right.sees_outside = not self._is_arena
+        if isinstance(settings, MountedMarkerSettings):
+            left.mount, right.mount = settings.left, settings.right
         return left, right
 
     def _sensor(self, settings: MarkerSettings) -> TactileSensor:

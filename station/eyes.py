@@ -125,6 +125,11 @@ class Eyes:
         """What was seen last."""
         return self._sight
 
+    @property
+    def pairs(self) -> int:
+        """Number of pairs of pictures so far."""
+        return self._count
+
     def start_again(self) -> SensorReading:
         """Take the markers' present places for their references, and return what is seen then.
 

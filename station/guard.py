@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from threading import Event, Lock, Thread
+from threading import Condition, Event, Lock, Thread
 from time import monotonic
 from typing import Final, Self
 
@@ -98,7 +98,12 @@ def check_grip(limits: StationLimits, position: int, speed: int, force: int) -> 
 
 _MEAN_OF: Final = 100
 """Frames of the force/torque sensor whose mean is taken for its present reading."""
+_ARRIVAL_S: Final = 5.0
 _FORCES: Final = 1_000_000
+
+
+def _mean(wrenches: list[Wrench]) -> Wrench:
+    return Wrench(*np.mean(wrenches, axis=0).tolist())
 
 
 class StationStopped(VitacError):
@@ -131,6 +136,8 @@ class Guard:
     _over: Event = field(default_factory=Event)
     _stopping: Lock = field(default_factory=Lock)
     _wrenches: deque[Wrench] = field(default_factory=lambda: deque(maxlen=_MEAN_OF))
+    _frames: int = 0
+    _arrived: Condition = field(default_factory=Condition)
     _exits: ExitStack = field(default_factory=ExitStack)
 
     def __enter__(self) -> Self:
@@ -154,7 +161,19 @@ class Guard:
 
     def wrench(self) -> Wrench | None:
         """Return the mean of the last forces and torques; None where none has arrived."""
-        return Wrench(*np.mean(list(self._wrenches), axis=0).tolist()) if self._wrenches else None
+        return _mean(list(self._wrenches)) if self._wrenches else None
+
+    def measure_wrench(self, frames: int = 10) -> Wrench:
+        """Return the mean of the next forces and torques: nothing in it was felt before the call.
+
+        Raises:
+            DeviceFault: too few arrive within five seconds.
+        """
+        with self._arrived:
+            enough = self._frames + frames
+            if not self._arrived.wait_for(lambda: self._frames >= enough, _ARRIVAL_S):
+                raise DeviceFault("The force/torque sensor has sent nothing. Check its cable.")
+            return _mean(list(self._wrenches)[-frames:])
 
     def beat(self) -> None:
         """Say that whoever commands the station is alive."""
@@ -252,7 +271,10 @@ class Guard:
             try:
                 for wrench in self.force_torque.read(timeout_s=self.limits.reading_s):
                     check_wrench(self.limits, wrench)
-                    self._wrenches.append(wrench)
+                    with self._arrived:
+                        self._wrenches.append(wrench)
+                        self._frames += 1
+                        self._arrived.notify_all()
                     self.forces_n.append(math.hypot(*wrench[:3]))
             except LimitPassed as error:
                 self.stop(str(error))

@@ -299,8 +299,7 @@ class StationTrial:
         return sight
 
     def _wrench(self) -> NDArray[np.float64]:
-        wrench = self._station.guard.wrench()
-        return np.zeros(6) if wrench is None else np.array(wrench)
+        return np.array(self._station.guard.measure_wrench())
 
     def _observe(self, sight: SensorReading) -> dict[str, NDArray[Any]]:
         """Return what the policy reads: markers as in simulation, motion from the stage's encoders."""

@@ -1,11 +1,13 @@
 """The sensor's inner camera: its pose on the gel and its pinhole projection."""
 
+from math import radians
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..compilation import allocating_kernel, kernel
+from ..deterministic_math import sine_cosine
 
 
 class CameraIntrinsics(NamedTuple):
@@ -25,6 +27,37 @@ class CameraIntrinsics(NamedTuple):
 
 
 CHALLENGE_CAMERA = CameraIntrinsics()
+_MIDDLE_PX = (160.0, 120.0)
+_CORNER_PX = 200.0
+
+
+class CameraMount(NamedTuple):
+    """How a camera is mounted, and what its lens does.
+
+    Attributes:
+        shift_u_px: of the whole picture along u.
+        shift_v_px: of the whole picture along v.
+        turn_deg: of the picture about its middle.
+        distortion: relative distance from the middle that the lens adds at a corner of the picture.
+    """
+
+    shift_u_px: float = 0.0
+    shift_v_px: float = 0.0
+    turn_deg: float = 0.0
+    distortion: float = 0.0
+
+    def see(self, positions_px: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return where the camera sees what an ideal one sees at some positions, shape [..., 2] [pixel]."""
+        u, v = positions_px[..., 0] - _MIDDLE_PX[0], positions_px[..., 1] - _MIDDLE_PX[1]
+        factor = 1.0 + self.distortion * (u * u + v * v) / _CORNER_PX**2
+        u, v = u * factor, v * factor
+        sine, cosine = sine_cosine(radians(self.turn_deg))
+        seen_u = cosine * u - sine * v + _MIDDLE_PX[0] + self.shift_u_px
+        seen_v = sine * u + cosine * v + _MIDDLE_PX[1] + self.shift_v_px
+        return np.stack([seen_u, seen_v], axis=-1)
+
+
+CHALLENGE_MOUNT = CameraMount()
 
 
 @allocating_kernel

@@ -22,7 +22,7 @@ from vitac.errors import VitacError
 from ..compilation import allocating_kernel, kernel
 from ..deterministic_math import normal_pairs, sine_cosine
 from ..fem.model.mesh import GelMesh
-from .camera import CHALLENGE_CAMERA, CameraIntrinsics, project
+from .camera import CHALLENGE_CAMERA, CHALLENGE_MOUNT, CameraIntrinsics, CameraMount, project
 from .gel import MARKER_COUNT
 
 FloatArray = NDArray[np.float64]
@@ -70,6 +70,19 @@ class MarkerSettings:
     drift_u_px_s: float = 0.0
     drift_v_px_s: float = 0.0
     delay: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class MountedMarkerSettings(MarkerSettings):
+    """The same, seen by cameras that are not mounted as the challenge's.
+
+    Attributes:
+        left: camera of the left sensor.
+        right: camera of the right sensor.
+    """
+
+    left: CameraMount = CHALLENGE_MOUNT
+    right: CameraMount = CHALLENGE_MOUNT
 
 
 class SurfaceArrays(NamedTuple):

@@ -8,6 +8,7 @@ from ..fem.model.mesh import GelMesh
 from .camera import (
     CHALLENGE_CAMERA,
     CameraIntrinsics,
+    CameraMount,
     camera_frame,
     mean_distance_m,
     project,
@@ -43,6 +44,7 @@ class TactileSensor:
         camera: intrinsics.
         settings: of its markers.
         sees_outside: whether a marker is observed that has left the picture, as the challenge does.
+        mount: of the camera, where it is another than the challenge's.
     """
 
     def __init__(self, mesh: GelMesh, settings: MarkerSettings) -> None:
@@ -50,6 +52,7 @@ class TactileSensor:
         self.settings = settings
         self.camera: CameraIntrinsics = CHALLENGE_CAMERA
         self.sees_outside = True
+        self.mount: CameraMount | None = None
         self._eye_distance_m = eye_distance_m(mesh)
         self._reference_m: FloatArray | None = None
         self.lost_px: FloatArray = np.empty((2, 0, 2))
@@ -93,6 +96,8 @@ class TactileSensor:
         return self._track(flow, kept, random)
 
     def _track(self, flow: FloatArray, kept: NDArray[np.bool_], random: np.random.Generator) -> FloatArray:
+        if self.mount is not None:
+            flow = self.mount.see(flow)
         if not self.sees_outside:
             kept = kept & find_in_picture(flow[1])
         self.lost_px = flow[:, ~kept]

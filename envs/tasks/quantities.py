@@ -4,7 +4,7 @@ Each task lists its own and those that all tasks have; a policy never sees what 
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from typing import Any, TypeVar
 
@@ -128,6 +128,36 @@ def check_quantities(settings: Any, quantities: Sequence[Quantity]) -> None:
         require(low <= value <= high, quantity.name, value, f"{low:g} to {high:g}{unit}")
 
 
+def mount(side: str, name: str) -> Callable[[Any, float], Any]:
+    """Return what sets a field of how the camera of the left or right sensor is mounted."""
+    from ..tactile.markers import MountedMarkerSettings
+
+    def apply(settings: Any, value: float) -> Any:
+        present = settings.markers
+        markers = MountedMarkerSettings(**{each.name: getattr(present, each.name) for each in fields(present)})
+        changed = getattr(markers, side)._replace(**{name: value})
+        return replace(settings, markers=replace(markers, **{side: changed}))
+
+    return apply
+
+
+CAMERA_MOUNT_QUANTITIES = tuple(
+    symmetric(
+        name=f"{side}_{name}",
+        unit=unit,
+        meaning=f"{meaning} of the {side} sensor",
+        largest=largest,
+        apply=mount(side, name),
+    )
+    for side in ("left", "right")
+    for name, unit, meaning, largest in (
+        ("shift_u_px", "px", "Shift along u of the picture", 20.0),
+        ("shift_v_px", "px", "Shift along v of the picture", 20.0),
+        ("turn_deg", "degree", "Turn of the picture", 10.0),
+        ("distortion", "1", "Distortion at a corner of the picture", 0.2),
+    )
+)
+
 TOUCH_QUANTITIES = (
     Quantity(
         name="gel_modulus_kpa",
@@ -222,6 +252,7 @@ TOUCH_QUANTITIES = (
         nominal=0.0,
         apply=setting("markers.delay"),
     ),
+    *CAMERA_MOUNT_QUANTITIES,
 )
 """Quantities of every task with two tactile sensors."""
 

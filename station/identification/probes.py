@@ -12,12 +12,12 @@ from vitac.errors import VitacError
 
 from ..arm import Arm, Offset
 from ..devices.stage import Pose
-from ..eyes import OpenStation
+from ..eyes import OpenStation, SensorReading
 from ..perception.markers import MarkerFlow
 
 Force = NDArray[np.float64]
 
-LIGHT_FORCE: Final = 3
+LIGHT_FORCE: Final = 1
 """Of the gripper where the peg has to slip between the gels."""
 _REST_PICTURES: Final = 10
 _BESIDE_MM: Final = 4.5
@@ -26,12 +26,17 @@ _ABOVE_MM: Final = 0.7
 _BELOW_MM: Final = 0.8
 _IN_HOLE_MM: Final = 1.5
 _TOUCH_N: Final = 0.6
-_PRESS_N: Final = 14.0
+_PRESS_N, _LIGHT_N = 14.0, 17.0
 _SLOW_MM_S, _WALL_MM_S = 0.2, 0.5
+"""Where friction is felt nothing slides fast, as friction may depend on the speed."""
 _STEP_MM, _LIGHT_STEP_MM, _WALL_STEP_MM = 0.05, 0.15, 0.15
-_PRESS_STEPS, _LIGHT_STEPS, _WALL_STEPS, _HOLDS = 14, 14, 3, 12
+_PRESS_STEPS, _LIGHT_STEPS, _WALL_STEPS, _HOLDS = 14, 20, 3, 12
 _HOLD_S: Final = 0.5
-_SLIDES_MM: Final = (0.3, 0.6, 0.9, 1.2, 0.9, 0.6, 0.3, 0.0)
+_FRAMES, _MOVING_FRAMES, _ZERO_FRAMES = 10, 2, 20
+"""Of the force/torque sensor, at rest and on the way."""
+_SLIDES_MM: Final = (0.2, 0.4, 0.6, 0.4, 0.2, 0.0)
+"""Along the axis in which the gripper closes: there the gels give so little that the peg slips on the plate at once.
+Ways there and back part friction from the plate's tilt."""
 _TOWARDS_WALL_MM, _WALL_N = 3.0, 1.0
 _TURN_DEG, _TURN_STEP_DEG, _TURN_NM = 14.0, 0.5, 0.05
 
@@ -64,7 +69,7 @@ class Sample(NamedTuple):
         axes: of the stage, by its encoders [mm, deg].
         wrench: of the force/torque sensor since the last sample in free air [N, N m], shape [6].
         flows: of both gels since they were free.
-        after_s: since the first sample of a hold, by pictures [s].
+        after_s: since the last hold began, by pictures [s].
     """
 
     probe: ProbeKind
@@ -109,6 +114,7 @@ class _Prober:
     def __init__(self, station: OpenStation, show: Callable[[ProbeKind], None]) -> None:
         self._station, self._arm, self._show = station, Arm(station), show
         self._zero: Force = np.zeros(6)
+        self._began = 0
         self._probing = Probing(rest_px=(np.zeros((0, 2)), np.zeros((0, 2))))
 
     def play(self) -> Probing:
@@ -120,16 +126,15 @@ class _Prober:
         self._sample(ProbeKind.GRASP)
         show(ProbeKind.PRESS)
         self._go_above((_BESIDE_MM, 0.0, 0.0))
-        self._press(ProbeKind.PRESS, _PRESS_STEPS, _STEP_MM)
+        self._press(ProbeKind.PRESS, _PRESS_STEPS, _STEP_MM, _PRESS_N)
         show(ProbeKind.HOLD)
-        procedure = self._station.procedure
-        pause_s = math.ceil((_HOLD_S + procedure.latency_s) / procedure.picture_s) * procedure.picture_s
-        for number in range(_HOLDS):
-            self._sample(ProbeKind.HOLD, number * pause_s, wait_s=_HOLD_S)
+        self._began = self._station.eyes.pairs
+        for _ in range(_HOLDS):
+            self._sample(ProbeKind.HOLD, wait_s=_HOLD_S)
         show(ProbeKind.SLIDE)
         pressed = arm.pose()
         for way_mm in _SLIDES_MM:
-            self._go(pressed._replace(x_mm=pressed.x_mm - way_mm), ProbeKind.SLIDE)
+            self._go(pressed._replace(y_mm=pressed.y_mm + way_mm), ProbeKind.SLIDE, _SLOW_MM_S)
         show(ProbeKind.SIDE)
         for x_mm, y_mm in ((_BESIDE_MM, 0.0), (0.0, _BESIDE_MM), (-_BESIDE_MM, 0.0), (0.0, -_BESIDE_MM)):
             self._go_above((x_mm, y_mm, 0.0))
@@ -149,7 +154,7 @@ class _Prober:
         arm.fetch(LIGHT_FORCE)
         self._sample(ProbeKind.LIGHT_GRASP)
         self._go_above((_BESIDE_MM, 0.0, 0.0))
-        self._press(ProbeKind.LIGHT, _LIGHT_STEPS, _LIGHT_STEP_MM)
+        self._press(ProbeKind.LIGHT, _LIGHT_STEPS, _LIGHT_STEP_MM, _LIGHT_N)
         arm.lift(self._station.procedure.safe_z_mm)
         arm.open_in_garage()
         return self._probing
@@ -169,15 +174,15 @@ class _Prober:
         arm.go(arm.place(offset, arm.height_mm(procedure.lateral_mm)))
         arm.go(arm.place(offset, arm.height_mm(_ABOVE_MM)))
         arm.settle(_HOLD_S)
-        self._zero = self._wrench()
+        self._zero = np.array(self._station.guard.measure_wrench(_ZERO_FRAMES))
         self._sample(ProbeKind.AIR)
 
-    def _press(self, probe: ProbeKind, steps: int, step_mm: float) -> None:
+    def _press(self, probe: ProbeKind, steps: int, step_mm: float, largest_n: float) -> None:
         touched = self._descend()
         self._sample(probe)
         for step in range(1, steps + 1):
-            self._go(touched._replace(z_mm=touched.z_mm - step * step_mm), probe)
-            if self._felt()[2] > _PRESS_N:
+            felt = self._go(touched._replace(z_mm=touched.z_mm - step * step_mm), probe, _SLOW_MM_S)
+            if felt[2] > largest_n:
                 return
 
     def _descend(self) -> Pose:
@@ -201,30 +206,32 @@ class _Prober:
         self._go(middle, ProbeKind.MIDDLE)
 
     def _go_until(self, target: Pose, speed_mm_s: float, is_met: Callable[[Force], bool], name: str) -> Pose:
-        if self._arm.go_until(target, speed_mm_s, lambda _sight, _pose: bool(is_met(self._felt()))) is None:
+        def found(_sight: SensorReading, _pose: Pose) -> bool:
+            return bool(is_met(self._felt(_MOVING_FRAMES)))
+
+        if self._arm.go_until(target, speed_mm_s, found) is None:
             raise NothingFelt(
                 f"A probe felt no {name} on its way to {tuple(target)}. Correct hole and shape in the file."
             )
         return self._arm.pose()
 
-    def _go(self, target: Pose, probe: ProbeKind) -> None:
-        self._arm.go(target)
-        self._sample(probe)
+    def _go(self, target: Pose, probe: ProbeKind, speed_mm_s: float | None = None) -> Force:
+        self._arm.go(target, speed_mm_s)
+        return self._sample(probe)
 
-    def _wrench(self) -> Force:
-        wrench = self._station.guard.wrench()
-        if wrench is None:
-            raise NothingFelt("The force/torque sensor has sent nothing. Check its cable.")
-        return np.array(wrench)
+    def _felt(self, frames: int) -> Force:
+        return np.array(self._station.guard.measure_wrench(frames)) - self._zero
 
-    def _felt(self) -> Force:
-        return self._wrench() - self._zero
-
-    def _sample(self, probe: ProbeKind, after_s: float = 0.0, wait_s: float = 0.1) -> None:
+    def _sample(self, probe: ProbeKind, wait_s: float = 0.1) -> Force:
+        """Take a sample at rest, and return the force felt in it."""
+        eyes = self._station.eyes
         sight = self._arm.settle(wait_s)
-        self._probing.samples.append(
-            Sample(probe, self._arm.pose(), self._felt(), (sight.left, sight.right), after_s=after_s)
-        )
+        first = eyes.pairs
+        felt = self._felt(_FRAMES)
+        # The force is a mean over the time of some pictures.
+        after_s = (0.5 * (first + eyes.pairs) - self._began) * self._station.procedure.picture_s
+        self._probing.samples.append(Sample(probe, self._arm.pose(), felt, (sight.left, sight.right), after_s))
+        return felt
 
 
 def _mean_markers(pictures: list[NDArray[np.float64]]) -> NDArray[np.float64]:

@@ -5,28 +5,28 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from vitac.envs.tasks.quantities import TOUCH_QUANTITIES
+from vitac.envs.geometry.pegs import CLEARANCE_MM
+from vitac.envs.tasks.insertion.interface import INSERTION_QUANTITIES
+from vitac.envs.tasks.quantities import CAMERA_MOUNT_QUANTITIES
 from vitac.evaluator.strict_model import StrictModel
 
 from ..description import StagePose, TwinMark
 from ..eyes import OpenStation
 from ..twin.grasp import GRIP_MM, Axes, Mounted
 from ..twin.hidden import HiddenSettings
-from ..twin.structure import Branch, Difference, HiddenStructure, Tilt
+from ..twin.structure import Branch
 from .camera import FittedCamera, fit_camera
 from .mechanics import Estimate, fit_mechanics
 from .probes import ProbeKind, Probing, play_probes
 
 _QUANTILE: Final = 1.96
-_TOUCH_MM: Final = 0.03
-"""Standard deviation of the height at which a side of the plate was touched."""
 _RELAXATIONS_S: Final = np.geomspace(0.2, 6.0, 40)
 _SMALLEST_RATIO: Final = 0.005
 _UNSEEN: Final = (
-    "the peg's tilt between the gels: its lower end stands flat on the plate after the first touch",
     "a print that is shifted or turned as a whole: it looks like a camera that is",
-    "loose gels, a giving stage or fingers and a stiffening gel apart from each other: all change the forces on the "
-    "plate, so modulus and frictions are effective values",
+    "the heights of grasp and plate apart: their sum decides where the peg touches",
+    "a giving stage or fingers and a stiffening gel apart from each other: all change the forces on the plate, so "
+    "modulus and frictions are effective values",
     "light, noise, latency and drift: no move shows them, and `vitac station check` and the tracker allow for them",
 )
 
@@ -104,29 +104,22 @@ def read_probes(
         hole: where the station's file has it.
         name: of the station.
         twin: where it is a twin.
-        show: called with a sentence after each iteration of the fit.
+        show: called with a sentence after each try of the fit.
     """
     cameras = {"left": fit_camera(probing.rest_px[0]), "right": fit_camera(probing.rest_px[1])}
     branch, viscosity = _fit_viscosity(probing)
-    tilt = _fit_tilt(probing)
-    structure = HiddenStructure(
-        viscosity=(branch,) if branch else (),
-        tilt=Tilt(peg_deg=0.0, plate_deg=(tilt["plate_tilt_x_deg"].value, tilt["plate_tilt_y_deg"].value)),
-    )
     sensors = cameras["left"].sensor, cameras["right"].sensor
     mechanics = fit_mechanics(
         probing,
         sensors,
         mounted,
         hole,
-        structure.without([Difference.VISCOSITY]),
-        lambda number, misfit: show(
-            f"Iteration {number + 1}: the simulation misses the probes by {misfit:.2f} of noise"
-        ),
+        lambda number, misfit: show(f"Try {number + 1}: the simulation misses the probes by {misfit:.2f} of noise"),
     )
-    estimates = {**mechanics.estimates, **viscosity, **tilt}
+    estimates = {**mechanics.estimates, **viscosity}
     for side, camera in cameras.items():
         estimates |= {f"{side}_{each}": estimate for each, estimate in _camera_estimates(camera).items()}
+    structure = mechanics.hidden.structure.model_copy(update={"viscosity": (branch,) if branch else ()})
     hidden = mechanics.hidden.model_copy(update={"left": sensors[0], "right": sensors[1], "structure": structure})
     return IdentifiedStation(
         station=name,
@@ -182,23 +175,6 @@ def _relax(times_s: NDArray[np.float64], forces_n: NDArray[np.float64], time_s: 
     return _Relaxation(float(left @ left), time_s, more_n / rest_n, deviation_n / rest_n)
 
 
-def _fit_tilt(probing: Probing) -> dict[str, Estimate]:
-    """Return the plate's tilt, from the heights at which the peg touches its four sides."""
-    press = probing.of(ProbeKind.PRESS)
-    z_mm, force_n = (np.array(each) for each in zip(*((s.axes.z_mm, s.wrench[2]) for s in press), strict=True))
-    stiffness_n_mm = -float(np.polyfit(z_mm, force_n, 1)[0])
-    sides = probing.of(ProbeKind.SIDE)
-    places_mm = np.array([(1.0, side.axes.x_mm, side.axes.y_mm) for side in sides])
-    heights_mm = np.array([side.axes.z_mm + side.wrench[2] / stiffness_n_mm for side in sides])
-    (_, slope_x, slope_y), *_ = np.linalg.lstsq(places_mm, heights_mm, rcond=None)
-    deviations = np.degrees(_TOUCH_MM * np.sqrt(np.diag(np.linalg.inv(places_mm.T @ places_mm))))
-    # A turn about x lifts what is at larger y, one about y lowers what is at larger x.
-    return {
-        "plate_tilt_x_deg": _around(float(np.degrees(np.arctan(slope_y))), float(deviations[2])),
-        "plate_tilt_y_deg": _around(float(-np.degrees(np.arctan(slope_x))), float(deviations[1])),
-    }
-
-
 def _draws(estimates: dict[str, Estimate]) -> dict[str, tuple[float, float]]:
     """Return the intervals of what was seen as quantities of environments, within what these can have."""
     names = {
@@ -210,13 +186,15 @@ def _draws(estimates: dict[str, Estimate]) -> dict[str, tuple[float, float]]:
         "part_friction": ("plate_friction", 1.0, 0.0),
         "gripper_x_mm": ("grasp_x_mm", 1.0, 0.0),
         "gripper_z_mm": ("grasp_z_mm", 1.0, GRIP_MM),
+        "clearance_mm": ("tolerance_mm", 1.0, CLEARANCE_MM),
+        **{quantity.name: (quantity.name, 1.0, 0.0) for quantity in CAMERA_MOUNT_QUANTITIES},
     }
-    ranges = {quantity.name: quantity.range for quantity in TOUCH_QUANTITIES}
+    ranges = {quantity.name: quantity.range for quantity in INSERTION_QUANTITIES}
     draws = {}
     for quantity, (name, factor, offset) in names.items():
         estimate = estimates[name]
         if estimate.is_seen:
             ends = factor * np.array((estimate.low, estimate.high)) + offset
-            low, high = np.clip(ends, *ranges.get(quantity, (-np.inf, np.inf))).tolist()
+            low, high = np.clip(ends, *ranges[quantity]).tolist()
             draws[quantity] = (low, high)
     return draws

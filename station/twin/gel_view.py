@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.fem.model.mesh import GelMesh
 from vitac.envs.scene.gripper import SensorPose
-from vitac.envs.tactile.camera import CHALLENGE_CAMERA, camera_frame, project
+from vitac.envs.tactile.camera import CHALLENGE_CAMERA, CameraMount, camera_frame, project
 from vitac.envs.tactile.design import SensorDesign
 from vitac.envs.tactile.gel import eye_distance_m
 from vitac.envs.tactile.markers import interpolated
@@ -118,7 +118,6 @@ Picture = NDArray[np.uint8]
 
 _MIDDLE_PX: Final = np.array((160.0, 120.0))
 _WIDTH, _HEIGHT = 448, 338
-_CORNER_PX: Final = 200.0
 _NO_BODY: Final = (np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
 _UNMOVED_M: Final = 1e-7
 _PICTURE_ROWS: Final = 240.0
@@ -169,12 +168,7 @@ class PrintedMarkers:
 
 def see_through_lens(sensor: HiddenSensor, positions_px: FloatArray) -> FloatArray:
     """Return where a camera really sees places of the cut picture, as it is mounted and distorts."""
-    arm = positions_px - _MIDDLE_PX
-    arm = arm * (1.0 + sensor.distortion * (arm**2).sum(axis=1, keepdims=True) / _CORNER_PX**2)
-    angle = np.radians(sensor.turn_deg)
-    turned = arm @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    moved: FloatArray = turned + _MIDDLE_PX + sensor.shift_px
-    return moved
+    return CameraMount(*sensor.shift_px, sensor.turn_deg, sensor.distortion).see(positions_px)
 
 
 class GelView:

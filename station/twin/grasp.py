@@ -134,8 +134,8 @@ class HeldPeg:
         self._rest_steps = 0
         self._springs = fingers and FingerSprings(fingers)
 
-    def follow(self, axes: Axes) -> bool:
-        """Move the gripper with the stage, in IPC steps that are short enough; return whether anything moved.
+    def follow(self, axes: Axes, way_mm: float = _WAY_MM) -> bool:
+        """Move the gripper with the stage, in IPC steps of at most a way; return whether anything moved.
 
         A viscous gel moves at rest, too, until its branches have relaxed. Where the physics finds no solution nothing
         moves, and the next call tries again.
@@ -143,8 +143,8 @@ class HeldPeg:
         self._rest_steps = self._rest_steps + 1 if axes == self.axes else 0
         if self._rest_steps > self._creeping_steps:
             return False
-        way_mm = max(abs(a - b) for a, b in zip(axes[:3], self.axes[:3], strict=True))
-        steps = max(1, ceil(way_mm / _WAY_MM), ceil(abs(axes[3] - self.axes[3]) / _TURN_DEG))
+        farthest_mm = max(abs(a - b) for a, b in zip(axes[:3], self.axes[:3], strict=True))
+        steps = max(1, ceil(farthest_mm / way_mm), ceil(abs(axes[3] - self.axes[3]) / _TURN_DEG))
         x_mm, y_mm, z_mm, rotation_deg = (now - before for now, before in zip(axes, self._start.axes, strict=True))
         goal = self._start.pose.moved(
             x_m=1e-3 * x_mm, y_m=1e-3 * y_mm, z_m=1e-3 * z_mm, angle_rad=radians(rotation_deg)

@@ -106,6 +106,16 @@ def test_grip_past_its_limit_is_not_sent(guard: Guard, twins: TwinStation) -> No
     assert guard.gripper.wait(timeout_s=5.0).position == 180
 
 
+def test_what_is_measured_has_nothing_of_what_was_felt_before(guard: Guard, twins: TwinStation) -> None:
+    guard.measure_wrench(frames=100)  # at rest
+    sense(twins, 0.0, 0.0, 4.0, 0.0, 0.0, 0.0)
+    guard.measure_wrench(frames=2)  # one may have been on its way
+    assert guard.measure_wrench(frames=3).force_z_n == pytest.approx(4.0)
+    wrench = guard.wrench()
+    assert wrench is not None
+    assert wrench.force_z_n < 3.9
+
+
 @pytest.mark.parametrize(
     ("wrench", "reason"),
     [

@@ -4,6 +4,7 @@ import numpy as np
 import own_sensors
 import pytest
 from vitac.envs.scene.gripper import UPRIGHT_MOUNTS, SensorMount
+from vitac.envs.tactile.camera import CameraMount
 from vitac.envs.tactile.gel import arena_gel_mesh, gelsight_mini_mesh
 from vitac.envs.tactile.markers import MarkerSettings, find_in_picture
 from vitac.envs.tactile.response import Response, compute_response
@@ -43,6 +44,17 @@ def test_marker_flow_compares_with_the_reference() -> None:
     sensor.capture_reference(view + np.array([1e-3, 0.0, 0.0]))
     flow = sensor.marker_flow(view, np.random.default_rng(0))
     assert (flow[1] - flow[0])[:40, 0].mean() == pytest.approx(-340 / 22, abs=0.3)
+
+
+def test_a_camera_that_is_mounted_otherwise_sees_the_same_markers_elsewhere() -> None:
+    sensor, view = sensor_and_view()
+    sensor.capture_reference(view)
+    sensor.settings = MarkerSettings(noise_px=0.0)
+    ideal = sensor.marker_flow(view, np.random.default_rng(1))
+    sensor.mount = CameraMount(shift_u_px=2.0, shift_v_px=-1.0, turn_deg=90.0, distortion=0.1)
+    arm = (ideal - (160.0, 120.0)) * (1.0 + 0.1 * ((ideal - (160.0, 120.0)) ** 2).sum(axis=2, keepdims=True) / 200.0**2)
+    turned = np.stack([-arm[..., 1], arm[..., 0]], axis=2)  # u becomes v
+    assert sensor.marker_flow(view, np.random.default_rng(1)) == pytest.approx(turned + np.array((162.0, 119.0)))
 
 
 def test_a_marker_that_has_left_the_picture_is_seen_only_as_the_challenge_does() -> None:

@@ -1,10 +1,14 @@
 """Quantities that are drawn for every episode from ranges that a track file states."""
 
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 import pytest
 from fake_scene import FakeScene
+from vitac.envs.assets import Meshes
+from vitac.envs.tactile.camera import CameraMount
+from vitac.envs.tactile.markers import MountedMarkerSettings
 from vitac.envs.tasks.fusion_insertion.env import FusionInsertionEnv
 from vitac.envs.tasks.lock_opening.env import LockOpeningEnv
 from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
@@ -110,6 +114,20 @@ def test_every_quantity_changes_the_settings_at_both_ends_of_its_range(env_type:
         ends = [with_quantities(settings, quantities, {quantity.name: value}) for value in quantity.range]
         assert ends[0] != ends[1], quantity.name
         assert quantity.range[0] <= quantity.nominal <= quantity.range[1]
+
+
+def test_each_sensor_sees_through_its_own_camera_and_nothing_else_changes() -> None:
+    settings = PegInsertionEnv(contact_model="arena-2").settings
+    drawn = {"left_shift_u_px": 3.0, "left_turn_deg": 1.0, "right_distortion": 0.02}
+    markers = with_quantities(settings, PegInsertionEnv.task.quantities, drawn).markers
+    assert isinstance(markers, MountedMarkerSettings)
+    sensors = Meshes(is_arena=True).sensors(markers)
+    assert [sensor.mount for sensor in sensors] == [
+        CameraMount(shift_u_px=3.0, turn_deg=1.0), CameraMount(distortion=0.02)
+    ]  # fmt: skip
+    assert [sensor.mount for sensor in Meshes(is_arena=True).sensors(settings.markers)] == [None, None]
+    ideal = MountedMarkerSettings(**asdict(settings.markers))
+    assert markers == replace(ideal, left=markers.left, right=markers.right)
 
 
 SEED = {"rng_seed": (3, 1)}

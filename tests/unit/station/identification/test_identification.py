@@ -1,15 +1,20 @@
-"""What probes show of a station: cameras, viscosity and tilt by themselves, and what is said of the rest."""
+"""What probes show of a station: cameras and viscosity by themselves, the rest by our simulation of them."""
+
+from typing import Any, cast
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from vitac.envs.tactile.gel import arena_gel_mesh
+from vitac.envs.tasks.quantities import CAMERA_MOUNT_QUANTITIES
 from vitac.station.devices.stage import Pose
 from vitac.station.identification.camera import TooFewMarkers, fit_camera, undo_lens
-from vitac.station.identification.mechanics import Estimate
+from vitac.station.identification.mechanics import _NUMBERS, Estimate, _improve, _Replay
 from vitac.station.identification.probes import ProbeKind, Probing, Sample
-from vitac.station.identification.station import _draws, _fit_tilt, _fit_viscosity
+from vitac.station.identification.station import _draws, _fit_viscosity
 from vitac.station.perception.markers import MarkerFlow, cut_picture, find_centres
 from vitac.station.twin.gel_view import GelView, marker_grid, see_through_lens
+from vitac.station.twin.grasp import Mounted
 from vitac.station.twin.hidden import HiddenSensor
 
 NO_MARKERS = MarkerFlow(np.zeros((0, 2)), np.zeros((0, 2)))
@@ -55,26 +60,58 @@ def test_viscosity_is_seen_where_a_held_press_relaxes(ratio: float, is_seen: boo
         assert branch.relaxation_time_s == pytest.approx(1.5, rel=0.3)
 
 
-def test_tilt_of_the_plate_follows_from_where_its_sides_are_touched() -> None:
-    slope_x, slope_y, n_mm = 0.01, -0.02, 10.0
-    press = [sample(ProbeKind.PRESS, (4.5, 0.0, -z), n_mm * z) for z in (0.0, 0.1, 0.2)]
-    sides = [
-        sample(ProbeKind.SIDE, (x, y, -40.0 + slope_x * x + slope_y * y - force / n_mm), force)
-        for (x, y), force in zip(((4.5, 0.0), (0.0, 4.5), (-4.5, 0.0), (0.0, -4.5)), (1.0, 1.5, 0.8, 1.2), strict=True)
-    ]
-    tilt = _fit_tilt(probing(*press, *sides))
-    assert tilt["plate_tilt_x_deg"].value == pytest.approx(np.degrees(slope_y), abs=1e-3)
-    assert tilt["plate_tilt_y_deg"].value == pytest.approx(-np.degrees(slope_x), abs=1e-3)
-    assert tilt["plate_tilt_x_deg"].low < tilt["plate_tilt_x_deg"].value < tilt["plate_tilt_x_deg"].high
+class Mechanics:
+    """Differences as a fit sees them: of two numbers one bends, and the third shows in nothing."""
+
+    noise = np.full(40, 0.1)
+
+    def __init__(self, hidden: tuple[float, float]) -> None:
+        self.observed = self.predict(np.array((*hidden, 0.0, *np.zeros(len(_NUMBERS) - 3))))
+
+    def predict(self, z: NDArray[np.float64]) -> NDArray[np.float64]:
+        along = np.linspace(0.0, 1.0, 40)
+        # Below its threshold the first number has no effect, as friction has none before something slips.
+        return np.asarray(np.minimum(3.0 * along, np.exp(0.5 * z[0])) + z[1] * along**2)
+
+
+@pytest.mark.parametrize("hidden", [(1.5, -1.0), (-2.0, 2.0)])
+def test_a_fit_comes_to_hidden_numbers_from_afar_and_leaves_what_is_not_seen(hidden: tuple[float, float]) -> None:
+    fit = _improve(cast("Any", Mechanics(hidden)), np.zeros(len(_NUMBERS)))
+    assert fit.z[:2] == pytest.approx(hidden, abs=0.1)
+    deviations = np.sqrt(np.diag(np.linalg.inv(fit.normal_equations()[0])))
+    assert (deviations[:2] < 0.2).all()
+    assert fit.z[2] == pytest.approx(0.0)
+    assert deviations[2] == pytest.approx(1.0)
+
+
+def light_press(gel_friction: float) -> NDArray[np.float64]:
+    """Return what our simulation shows of a press of a peg that is held lightly, at one friction of the gels."""
+    poses = [(ProbeKind.LIGHT_GRASP, 0.7), (ProbeKind.AIR, 0.7), *((ProbeKind.LIGHT, -z) for z in (0.3, 0.8, 1.3, 1.8))]
+    still = MarkerFlow(marker_grid(), marker_grid())
+    samples = [Sample(kind, Pose(4.5, 0.0, z_mm, 0.0), np.zeros(6), (still, still)) for kind, z_mm in poses]
+    cameras = HiddenSensor(), HiddenSensor()
+    replay = _Replay(probing(*samples), cameras, Mounted(), (0.0, 0.0, 0.0, 0.0), 0.0, tuple(ProbeKind))
+    number = next(each for each in _NUMBERS if each.name == "gel_friction")
+    z = np.array([np.log(gel_friction) / number.spread if each is number else 0.0 for each in _NUMBERS])
+    return np.asarray((replay.predict(z) / replay.noise).reshape(len(samples), -1))
+
+
+def test_a_peg_that_is_held_lightly_slips_and_so_shows_the_friction_of_the_gels() -> None:
+    difference = np.abs(light_press(1.2) - light_press(0.8))
+    assert difference[-1, 2] > 10.0  # of the force along z, in deviations of noise
+    assert difference[0].max() < 1.0
 
 
 def test_environments_get_the_intervals_of_what_was_seen_alone() -> None:
     names = ("youngs_modulus_pa", "poisson_ratio", "viscous_ratio", "indentation_mm", "gel_friction", "plate_friction",
-             "grasp_x_mm", "grasp_z_mm")  # fmt: skip
+             "grasp_x_mm", "grasp_z_mm", "tolerance_mm",
+             *(quantity.name for quantity in CAMERA_MOUNT_QUANTITIES))  # fmt: skip
     estimates = {name: Estimate(0.4, 0.3, 0.5, name != "gel_friction") for name in names}
     estimates["youngs_modulus_pa"] = Estimate(2e5, 1.9e5, 2.1e5, True)
     draws = _draws(estimates)
     assert draws["gel_modulus_kpa"] == pytest.approx((190.0, 210.0))
     assert draws["gel_poisson_ratio"] == pytest.approx((0.3, 0.49))  # as far as environments can have it
     assert draws["gripper_z_mm"] == pytest.approx((-7.7, -7.5))
+    assert draws["clearance_mm"] == pytest.approx((1.8, 2.0))
+    assert draws["left_turn_deg"] == pytest.approx((0.3, 0.5))
     assert "gel_friction" not in draws
