@@ -188,6 +188,7 @@ def run(
     from vitac.envs.tasks.definition import Family
     from vitac.server.accounts.stations import enrol
     from vitac.server.services import open_services
+    from vitac.server.storage.scratch import scratch_folder
     from vitac.station.agent import StationShards
     from vitac.station.description import read_description
     from vitac.station.rehearsal import refuse_wrong_devices
@@ -203,15 +204,15 @@ def run(
     settings = load_settings(worker_slots=1)
     configure_events(sys.stderr, settings.log_format)
     key, show = key_file.read_text(encoding="utf-8").strip(), Album(pictures).show if pictures else no_pictures
-    player = TrialPlayer(
-        description=description,
-        folder=settings.scratch_dir,
-        operator=make_operator(description),
-        attempts=1,
-        show=show,
-    )
     names: list[str] = []
     with ExitStack() as stack:
+        player = TrialPlayer(
+            description=description,
+            folder=stack.enter_context(scratch_folder(settings.scratch_dir, "station")),
+            operator=make_operator(description),
+            attempts=1,
+            show=show,
+        )
         stack.enter_context(player)
         address = stack.enter_context(serving_console(player, port))
         services = stack.enter_context(open_services(settings, may_run_database=False))

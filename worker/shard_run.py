@@ -1,6 +1,7 @@
 """One claimed shard: run in a process of its own, each episode stored at once."""
 
 import errno
+import hashlib
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Protocol
 
 from sqlalchemy.orm import Session
+from vitac.errors import VitacError
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.episodes.records import EpisodeRecord, Manifest
 from vitac.evaluator.estimator.regression import Coefficients
@@ -46,6 +48,11 @@ from vitac.server.submissions.sensors import (
 
 from .leased_run import LeasedRun, RunningProcess
 from .staging import SubmissionStage
+
+
+class VideoChanged(VitacError):
+    """The file of a trial's video was changed after it was recorded; the trial is played again."""
+
 
 TOGETHER_S = 0.5
 """Records that come within this time are stored in one transaction, which takes as long as that of a single one: about
@@ -253,9 +260,20 @@ class ShardRun(LeasedRun[RunningShard]):
                 self._retry_storage(partial(self._database, partial(self._keep_file, file)))
 
     def _keep_video(self, path: Path, record: EpisodeRecord) -> None:
-        """Store the video of a trial before its record names it."""
+        """Store the video of a trial before its record names it.
+
+        Raises:
+            VideoChanged: the file is not the one that the record names.
+        """
         video = record.video
         if video is not None:
+            with path.open("rb") as content:
+                digest = hashlib.file_digest(content, "sha256").hexdigest()
+            if digest != video.sha256:
+                raise VideoChanged(
+                    f"The video of trial {record.episode} has another SHA-256 than its record says: {digest}, expected "
+                    f"{video.sha256}. Something else wrote to {path.parent}; the trial is played again."
+                )
             facts = {"task": record.task, "episode": record.episode, "code": video.code}
             name = f"trial-{record.task}-{record.episode}.mjpeg"
             file = UploadedFile(

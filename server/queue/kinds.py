@@ -17,14 +17,14 @@ class Kind:
             all others. None: without limit.
         one_per_owner: whether only one piece of an owner runs at a time (`uq_work_place` holds it).
         limit_s: time of one attempt [s]; None: as long as it progresses.
-        free_losses: how many lost workers cost it no attempt.
+        free_repeats: how many attempts do not count that a lost worker or a broken machine ended.
     """
 
     priority: int
     share: float | None = None
     one_per_owner: bool = False
     limit_s: float | None = None
-    free_losses: int = 0
+    free_repeats: int = 0
 
 
 KINDS: Mapping[WorkKind, Kind] = MappingProxyType(
@@ -32,8 +32,8 @@ KINDS: Mapping[WorkKind, Kind] = MappingProxyType(
         WorkKind.SENSOR_CHECK: Kind(priority=1, share=0.25, one_per_owner=True, limit_s=60.0),
         WorkKind.REPLAY: Kind(priority=2, share=0.1, limit_s=1800.0),
         WorkKind.PLAYBACK: Kind(priority=3, share=0.25, limit_s=600.0),
-        # A killed agent of a station says nothing about the policy.
-        WorkKind.TRIAL: Kind(priority=4, free_losses=10),
+        # A killed agent or a device with a fault says nothing about the policy.
+        WorkKind.TRIAL: Kind(priority=4, free_repeats=20),
         WorkKind.SHARD: Kind(priority=5),
     }
 )

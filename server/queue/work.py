@@ -311,14 +311,15 @@ def report_broken(session: Session, settings: Settings, claim: Claim, message: s
     Raises:
         LeaseLost: the work is no longer ours.
     """
-    attempts = session.scalar(select(Work.attempts).where(*_held(claim)))
-    if attempts is None:
+    work = session.execute(select(Work.attempts, Work.repeats).where(*_held(claim))).one_or_none()
+    if work is None:
         raise lost(claim)
+    attempts = _count_attempts(claim.kind, *work)
     if attempts >= settings.shard_attempts:
         give_up(session, claim, f"Tried {attempts} times without progress. The last time: {message}")
         return
     _queue_again(
-        session, claim, attempts=Work.attempts, delay_s=max(1, attempts) * RETRY_DELAY_S,
+        session, claim, attempts=attempts, delay_s=max(1, attempts) * RETRY_DELAY_S,
         repeat=(RepeatCause.BROKE, message),
     )  # fmt: skip
 
@@ -347,6 +348,11 @@ def _queue_again(
     )
 
 
+def _count_attempts(kind: WorkKind, attempts: int, repeats: Sequence[object]) -> int:
+    """Return the attempts that count, without the one that just ended if such ones are still free."""
+    return attempts if len(repeats) >= KINDS[kind].free_repeats else max(attempts - 1, 0)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Sweep:
     """What one sweep did, as numbers of pieces of work."""
@@ -372,9 +378,9 @@ def sweep(session: Session, settings: Settings, *, give_up: GiveUp) -> Sweep:
     ends = []
     for work_id, kind, token, attempts, worker_id, repeats in rows:
         of_lost = Claim(work_id=work_id, kind=kind, token=token, attempt=attempts, waited_s=0.0)
-        losses = sum(each["cause"] == RepeatCause.LOST for each in repeats)
-        counted = attempts if losses >= KINDS[kind].free_losses else max(attempts - 1, 0)
-        recover = partial(_recover, session, settings, of_lost, counted, worker_id, give_up)
+        recover = partial(
+            _recover, session, settings, of_lost, _count_attempts(kind, attempts, repeats), worker_id, give_up
+        )
         ends.append(unless_held(session, recover))
     return Sweep(queued_again=ends.count(True), given_up=ends.count(False))
 

@@ -4,6 +4,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from service_factories import ISOLATION, make_manifest, make_record
 from vitac.evaluator.episodes.records import EpisodeRecord, PolicyFailure
@@ -30,7 +31,7 @@ class FakeShard:
         self.order = order
         self.killed = threading.Event()
         self.packages = {"numpy": "2.5.0"}
-        self.video = None
+        self.video: Path | None = None
         self.awaits_person = False
         self._record_of = record_of
         self._gate = gate

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -29,7 +30,7 @@ from sqlalchemy import select
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 from structlog.testing import capture_logs
-from vitac.evaluator.episodes.records import EpisodeRecord
+from vitac.evaluator.episodes.records import EpisodeRecord, TrialEvidence, TrialVideo
 from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.figures.figures import FiguresPart
 from vitac.evaluator.package_sets import digest_of_packages
@@ -453,6 +454,28 @@ def test_machine_that_cannot_run_a_shard_costs_an_attempt_and_the_third_ends_by_
         assert evaluation.verdict_code == "machine_failed"
         assert "bubblewrap did not start" in (evaluation.verdict_message or "")
         assert state_of(session, lease.work_id) is WorkState.CANCELLED
+
+
+def test_a_trial_whose_video_was_changed_is_played_again(
+    services: Services, stage: SubmissionStage, lease: Lease, tmp_path: Path
+) -> None:
+    file = tmp_path / "trial.mjpeg"
+    file.write_bytes(b"of another station")
+    sha256 = hashlib.sha256(b"of this one").hexdigest()
+    video = TrialVideo(code="0123456789ABCDEF", frames=1, link=sha256, sha256=sha256, n_bytes=11)
+    shards = FakeShards(record_of=partial(make_record, evidence=TrialEvidence(station="a", video=video)))
+
+    @contextmanager
+    def run(order: ShardOrder) -> Iterator[FakeShard]:
+        with shards(order) as shard:
+            shard.video = file
+            yield shard
+
+    assert ShardRun(services, stage, lease, run).run() is RunEnd.BROKE
+    assert stored_numbers(services) == []
+    with services.database.transaction() as session:
+        (repeat,) = session.get_one(Shard, lease.work_id).repeats
+    assert "has another SHA-256 than its record says" in repeat["reason"]
 
 
 def test_process_that_hangs_is_ended_and_reported(

@@ -66,7 +66,7 @@ def test_shard_with_an_expired_lease_is_queued_again_and_its_worker_fenced_off(
 def test_lost_worker_is_noted_and_costs_a_trial_of_a_station_no_attempt_up_to_a_limit(
     database: Database, submission: Submission, monkeypatch: pytest.MonkeyPatch, kind: WorkKind, attempts: int
 ) -> None:
-    trial = replace(KINDS[WorkKind.TRIAL], free_losses=SETTINGS.shard_attempts)
+    trial = replace(KINDS[WorkKind.TRIAL], free_repeats=SETTINGS.shard_attempts)
     monkeypatch.setattr(work, "KINDS", {**KINDS, WorkKind.TRIAL: trial})
     first = ids_of(database, submission)[0]
     with database.transaction() as session:
@@ -83,6 +83,22 @@ def test_lost_worker_is_noted_and_costs_a_trial_of_a_station_no_attempt_up_to_a_
             claim(database, first, lease_s=0.001)
             given_up = run_sweep(database).given_up
     assert given_up == 1
+
+
+@pytest.mark.parametrize(("kind", "state"), [(WorkKind.TRIAL, "queued"), (WorkKind.SHARD, "cancelled")])
+def test_devices_with_faults_end_no_trial(
+    database: Database, submission: Submission, monkeypatch: pytest.MonkeyPatch, kind: WorkKind, state: str
+) -> None:
+    monkeypatch.setattr(work, "RETRY_DELAY_S", 0.0)
+    first = ids_of(database, submission)[0]
+    with database.transaction() as session:
+        session.execute(text("UPDATE work SET kind = :kind WHERE id = :id"), {"kind": kind, "id": first})
+    for number in range(SETTINGS.shard_attempts):
+        held = claim(database, first)
+        with database.transaction() as session:
+            work.report_broken(session, SETTINGS, held, f"fault {number}", give_up=give_up)
+    with database.transaction() as session:
+        assert session.get_one(Shard, first).state == state
 
 
 def test_shard_with_a_living_lease_is_left_alone(database: Database, submission: Submission) -> None:
