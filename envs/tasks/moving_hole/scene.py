@@ -72,8 +72,8 @@ class PlatePath:
 
 
 def moving_hole_physics() -> PhysicsSettings:
-    """Return the contact model arena-2 with its gel, and IPC steps of 0.2 s."""
-    return PhysicsSettings(time_step_s=0.2, contact=ArenaContactSettings(), poisson_ratio=SILICONE_POISSON_RATIO)
+    """Return the contact model arena-2 with its gel; the rest as in the peg task."""
+    return PhysicsSettings(contact=ArenaContactSettings(), poisson_ratio=SILICONE_POISSON_RATIO)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +88,7 @@ class MovingHoleSettings(PegInsertionSettings):
 
     max_steps: int = 12
     z_step_mm: float = 0.08
-    ipc_steps: int = 2
+    ipc_steps: int = 4
     plate_speed_mm_s: float = 0.8
     latest_start_s: float = 1.6
     physics: PhysicsSettings = field(default_factory=moving_hole_physics)

@@ -64,4 +64,5 @@ class GraspedSceneCheck:
 def _positions_m(grasped: GraspedScene) -> list[FloatArray]:
     held = grasped.held_vertices_m(np.arange(len(grasped.held.mesh.vertices_m)))
     fixed = (grasped.fixed.rotation[None] * grasped.fixed.mesh.vertices_m[:, None]).sum(axis=2)
-    return [grasped.gel_nodes_m(0), grasped.gel_nodes_m(1), held, fixed + grasped.fixed.translation_m]
+    place_m = grasped.fixed.translation_m + grasped.fixed_shift_m()
+    return [grasped.gel_nodes_m(0), grasped.gel_nodes_m(1), held, fixed + place_m]

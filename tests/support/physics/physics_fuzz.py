@@ -1,6 +1,6 @@
 """Random episodes at the bounds of what a policy may do, every IPC step checked.
 
-Usage: python tests/support/physics/physics_fuzz.py [--task peg|lock] [--first SEED] [--episodes N] [--past-end]
+Usage: python tests/support/physics/physics_fuzz.py [--task peg|lock|moving] [--first SEED] [--episodes N] [--past-end]
                                                      [--eigenvalues] [--json FILE]
 
 Prints every IPC step that was divided, did not converge or would not last, with the numbers that play it again.
@@ -24,10 +24,11 @@ from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import GraspedScene, PhysicsSettings
 from vitac.envs.tasks.lock_opening.env import LockOpeningEnv
 from vitac.envs.tasks.lock_opening.scene import lock_physics
+from vitac.envs.tasks.moving_hole.env import MovingHoleEnv
 from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
 from vitac.envs.tasks.task_env import TactileTaskEnv
 
-PEG, LOCK = "peg", "lock"
+PEG, LOCK, MOVING = "peg", "lock", "moving"
 ENV_STEPS = 8
 
 
@@ -67,6 +68,14 @@ def fuzzed_environment(task: str, random: np.random.Generator, assets_dir: Path 
             gripper_z_mm=float(random.uniform(-10, -6)),
             physics=PhysicsSettings(gel_friction=gel_friction),
         )
+    if task == MOVING:
+        return MovingHoleEnv(
+            assets_dir=assets_dir,
+            indentation_mm=indentation_mm,
+            gripper_x_mm=float(random.uniform(-1, 1)),
+            gripper_z_mm=float(random.uniform(-10, -6)),
+            plate_speed_mm_s=float(random.uniform(0, 3)),
+        )
     standard = lock_physics()
     physics = PhysicsSettings(
         gel_friction=gel_friction, time_step_s=standard.time_step_s, contact=standard.contact, solver=standard.solver
@@ -82,7 +91,7 @@ def fuzzed_environment(task: str, random: np.random.Generator, assets_dir: Path 
 
 def start_options(task: str, random: np.random.Generator) -> dict[str, Any]:
     """A start anywhere in the task's range, blocked or not."""
-    if task == PEG:
+    if task in {PEG, MOVING}:
         x, y, theta = random.uniform(-1, 1, 3) * (5, 5, 10)
         return {"shape": str(random.choice(list(PegShape))), "offset_mm_deg": (float(x), float(y), float(theta))}
     shape = str(random.choice(list(KeyShape)))
@@ -145,7 +154,7 @@ def fuzz_episode(
     task: str, seed: int, *, past_end: bool = False, eigenvalues: bool = False, assets_dir: Path | None = None
 ) -> Iterator[FuzzedStep]:
     """Play one random episode until it ends, or on to its last env step unless an IPC step does not converge."""
-    random = np.random.default_rng(np.random.SeedSequence([{PEG: 1, LOCK: 2}[task], seed]))
+    random = np.random.default_rng(np.random.SeedSequence([{PEG: 1, LOCK: 2, MOVING: 3}[task], seed]))
     env = fuzzed_environment(task, random, assets_dir)
     options = start_options(task, random) | {"rng_seed": (seed,)}
     _, info = env.reset(options=options)
@@ -222,7 +231,7 @@ def _is_remarkable(step: FuzzedStep) -> bool:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--task", choices=(PEG, LOCK), default=PEG)
+    parser.add_argument("--task", choices=(PEG, LOCK, MOVING), default=PEG)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--past-end", action="store_true", help="play on after a flag ended the episode")
