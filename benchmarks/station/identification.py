@@ -3,8 +3,8 @@
 Usage: python benchmarks/station/identification.py --twin A|B [--secrets TEXT ...]
 
 Of each twin: the error of each number and whether its interval holds the true one (of a twin of class B both are
-effective values), and the largest distance between where the fitted and the true camera see the same place. Frictions
-and modulus are asked within 10 and 20 %, cameras within 1 and 2 pixels.
+effective values), and the largest distance between where the fitted and the true camera see the same place of a print
+that is off as a whole. Frictions and modulus are asked within 10 and 20 %, cameras within 1 and 2 pixels.
 """
 
 import argparse
@@ -13,11 +13,12 @@ from collections.abc import Iterator
 from time import perf_counter
 
 import numpy as np
+from numpy.typing import NDArray
 from vitac.evaluator.strict_model import validate
 from vitac.station.description import StationDescription, TwinClass
 from vitac.station.eyes import open_station
 from vitac.station.identification.station import IdentifiedStation, identify
-from vitac.station.twin.gel_view import see_through_lens
+from vitac.station.twin.gel_view import print_off, see_through_lens
 from vitac.station.twin.hidden import HiddenSettings, TwinSecret, make_twin
 from vitac.station.twin.laboratory import twin_process
 
@@ -33,8 +34,17 @@ def compare(found: IdentifiedStation, hidden: HiddenSettings) -> Iterator[str]:
         seen = "" if estimate.seen else ", not seen"
         yield f"{name}: {estimate.value:.4g}, true {true:.4g}, {estimate.value / true - 1:+.1%}, interval {holds}{seen}"
     for side in ("left", "right"):
-        fitted, true = (see_through_lens(getattr(each, side), PLACES_PX) for each in (found.settings, hidden))
+        fitted = see_through_lens(getattr(found.settings, side), PLACES_PX)
+        true = see_through_lens(getattr(hidden, side), _printed_px(hidden))
         yield f"{side} camera: {np.linalg.norm(fitted - true, axis=1).max():.2f} px"
+
+
+def _printed_px(hidden: HiddenSettings) -> NDArray[np.float64]:
+    """Return where the print puts what belongs to some places; what it scatters is no camera's."""
+    off = hidden.structure.print
+    if off is None:
+        return PLACES_PX
+    return print_off(off.model_copy(update={"scatter_px": 0.0}), PLACES_PX, np.random.default_rng(0))
 
 
 def main() -> None:

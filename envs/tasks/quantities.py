@@ -130,9 +130,10 @@ def check_quantities(settings: Any, quantities: Sequence[Quantity]) -> None:
 
 def mount(side: str, name: str) -> Callable[[Any, float], Any]:
     """Return what sets a field of how the camera of the left or right sensor is mounted."""
-    from ..tactile.markers import MountedMarkerSettings
 
     def apply(settings: Any, value: float) -> Any:
+        from ..tactile.markers import MountedMarkerSettings
+
         present = settings.markers
         markers = MountedMarkerSettings(**{each.name: getattr(present, each.name) for each in fields(present)})
         changed = getattr(markers, side)._replace(**{name: value})

@@ -30,6 +30,8 @@ _TRIES: Final = 40
 """Simulations of all probes besides those for the slopes."""
 _DAMPING: Final = 10.0
 """Of the first try after slopes by differences (Levenberg and Marquardt): numbers that little shows hardly move."""
+_FITTED: Final = 0.4
+"""Misfit that the right structure stays below; another one widens the intervals."""
 _LITTLE, _WEAK = 0.1, 2
 """Part of the cost that a try is worth at least, and how many in a row that gain less end a search."""
 _LOOSE_MM: Final = 2.0
@@ -301,7 +303,7 @@ def fit_mechanics(
     fit = _improve(replay, grasps[nearest].z, show)
     # The samples of a probe share most of their errors, so that all of them count as one.
     curvature, _ = fit.normal_equations(np.concatenate([replay.parts, np.ones(len(_NUMBERS))]))
-    deviations = max(1.0, fit.misfit) * np.sqrt(np.diag(np.linalg.inv(curvature)))
+    deviations = max(1.0, fit.misfit / _FITTED) * np.sqrt(np.diag(np.linalg.inv(curvature)))
     estimates = {
         number.name: Estimate(
             number.at(each),

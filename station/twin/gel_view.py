@@ -262,7 +262,7 @@ class GelView:
         grid_px = marker_grid()
         grid_px += self._generator.uniform(-self._sensor.misprint_px, self._sensor.misprint_px, grid_px.shape)
         if self._structure.print is not None:
-            grid_px = _print_off(self._structure.print, grid_px, np.random.default_rng((self._sensor.seed, _SCATTER)))
+            grid_px = print_off(self._structure.print, grid_px, np.random.default_rng((self._sensor.seed, _SCATTER)))
         self._printed = PrintedMarkers(self._gel, grid_px)
         self._darkness = np.full(self._printed.count, self._camera.darkness)
         self._darkness[self._generator.permutation(self._printed.count)[: self._sensor.worn]] *= WORN_DARKNESS
@@ -277,7 +277,7 @@ class GelView:
         return np.asarray(np.clip(moved * self._sensor.light, 0, 255), dtype=np.uint8)
 
 
-def _print_off(off: Print, grid_px: FloatArray, generator: np.random.Generator) -> FloatArray:
+def print_off(off: Print, grid_px: FloatArray, generator: np.random.Generator) -> FloatArray:
     """Return where markers are printed in place of a grid."""
     sine, cosine = np.sin(np.radians(off.turn_deg)), np.cos(np.radians(off.turn_deg))
     arm = (grid_px - _MIDDLE_PX) * (1.0 + off.stretch, 1.0 - off.stretch)
