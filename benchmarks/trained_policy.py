@@ -1,11 +1,11 @@
 """Counts the successes of a trained policy from fresh starts, which neither taught it nor chose it.
 
 python benchmarks/trained_policy.py examples/peg_insertion_trained/Track_1 [--starts 300] [--seed 1] [--public]
-                                    [--task lock-opening] [--critic RUN] [--json FILE]
+                                    [--task lock-opening] [--contact-model NAME] [--critic RUN] [--json FILE]
 
 `--public` plays the public list instead, whose official score is that of `vitac evaluate`, in the sandbox. `--critic`
-lets the best round's critic act, which sees the true offset: what is lost by sensing is the difference. Episodes
-whose physics did not converge are listed.
+lets the best round's critic act, which sees the true offset: what is lost by sensing is the difference. The contact
+model is by default that of the task. Episodes whose physics did not converge are listed.
 """
 
 import argparse
@@ -16,10 +16,11 @@ from runpy import run_path
 from typing import Any
 
 import numpy as np
+from vitac.envs.fem.model.settings import ContactModel
 from vitac.evaluator.episodes import episode
 from vitac.evaluator.scoring.score import rate_by_start
 from vitac.evaluator.scoring.starts import group_by_start
-from vitac.evaluator.tracks import load_track
+from vitac.evaluator.tracks import find_task
 from vitac.training.collection import Networks, critic_actor
 from vitac.training.episodes import TASK, TRUTHS, Actor, ActorInput, make_environment
 from vitac.training.files import load
@@ -39,6 +40,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1, help="of the training run")
     parser.add_argument("--task", default=TASK)
     parser.add_argument("--public", action="store_true", help="play the public list instead")
+    parser.add_argument("--contact-model", choices=list(ContactModel))
     parser.add_argument("--critic", type=Path, help="folder of the run whose critic acts instead")
     parser.add_argument("--json", type=Path, help="write the figures to this file")
     chosen = parser.parse_args()
@@ -46,7 +48,12 @@ def main() -> None:
         KnowsTruth(chosen.critic) if chosen.critic else run_path(str(chosen.submission / "policy.py"))["Policy"]()
     )
     starts = public_starts(chosen.task) if chosen.public else fresh_starts(chosen.seed, chosen.starts)
-    env = make_environment() if chosen.critic else episode.make_environment(load_track("track_1").tasks[chosen.task])
+    world = {"contact_model": chosen.contact_model} if chosen.contact_model else {}
+    env = (
+        make_environment(**world)
+        if chosen.critic
+        else episode.make_environment(find_task(chosen.task)[1], settings=world)
+    )
     found = {"starts": "public list" if chosen.public else f"stream {stream(chosen.seed, Use.REPORT)}"}
     found |= figures(env, policy, starts, chosen.task)
     print(json.dumps(found, indent=1))
@@ -61,7 +68,7 @@ def fresh_starts(seed: int, count: int) -> Iterator[Mapping[str, Any]]:
 
 def public_starts(task: str = TASK) -> Iterator[Mapping[str, Any]]:
     """Give the reset options of the public list."""
-    return (episode.options for episode in load_track("track_1").tasks[task].episodes)
+    return (episode.options for episode in find_task(task)[1].episodes)
 
 
 class KnowsTruth:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pydantic import NonNegativeFloat, NonNegativeInt, PositiveInt, TypeAdapter, ValidationError
+from vitac.envs.fem.model.settings import ContactModel
 from vitac.envs.tasks.settings import FIDELITY, Fidelity
 from vitac.errors import VitacError
 from vitac.evaluator.scoring.score import interval_of_seeds, rate
@@ -16,6 +17,7 @@ from vitac.evaluator.strict_model import StrictModel
 
 LINES = 12
 """Approximate number of lines of a curve in a table."""
+_MODEL = ContactModel.CHALLENGE_2025
 PUBLISHED = {
     "peg-insertion": (40, 270),
     "lock-opening": (145, 160),
@@ -141,8 +143,16 @@ def _options(recipe: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _method(name: str, recipe: Mapping[str, Any]) -> str:
-    fidelity = recipe.get(FIDELITY, Fidelity.FULL)
-    return name if fidelity == Fidelity.FULL else f"{name}, fidelity {fidelity}"
+    """Return the method with all by which what is played differs from the default, so that no two are one group."""
+    model, fidelity = recipe.get("contact_model", _MODEL), recipe.get(FIDELITY, Fidelity.FULL)
+    return ", ".join(
+        [
+            name,
+            *([model] if model != _MODEL else []),
+            *(["drawn"] if recipe.get("draws") else []),
+            *([f"fidelity {fidelity}"] if fidelity != Fidelity.FULL else []),
+        ]
+    )
 
 
 def _point(env_steps: int, found: Mapping[str, Any]) -> Point:

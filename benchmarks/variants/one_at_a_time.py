@@ -1,4 +1,4 @@
-"""How much does each drawn quantity take from an example policy, and what does it leave to a planner with the truth?
+"""How much does each drawn quantity take from an example policy?
 
 python benchmarks/variants/one_at_a_time.py TASK [--starts 60] [--secret FILE] [--only QUANTITY ...] --json FILE
 
@@ -12,7 +12,7 @@ import secrets
 from pathlib import Path
 from typing import Any
 
-from players import EXAMPLES, Example, Planner, Player
+from players import EXAMPLES, Example
 from vitac.envs.tasks.quantities import Quantity
 from vitac.evaluator.scoring.score import rate
 from vitac.evaluator.tracks import Task
@@ -61,17 +61,12 @@ def values(quantity: Quantity, limits: tuple[float, float]) -> list[float]:
 
 
 def row(task: Task, fixed: dict[str, float], starts: int) -> Row:
-    """Return the successes of both players with these quantities fixed."""
-    draws = {name: (value, value) for name, value in fixed.items()}
-    found: Row = {"fixed": fixed}
+    """Return the successes of the example with these quantities fixed."""
     named, folder = POLICIES[task.name]
-    players: dict[str, Player] = {
-        "example": Example(task, folder, named=named, draws=draws),
-        "truth": Planner(task, draws=draws),
-    }
-    for player, plays in players.items():
-        infos = [plays.play(episode.options) for episode in task.episodes[:starts]]
-        found[player] = rate(sum(info["is_success"] for info in infos), len(infos)).model_dump()
+    example = Example(task, folder, named=named, draws={name: (value, value) for name, value in fixed.items()})
+    infos = [example.play(episode.options) for episode in task.episodes[:starts]]
+    solved = rate(sum(info["is_success"] for info in infos), len(infos))
+    found: Row = {"fixed": fixed, "example": solved.model_dump()}
     print(json.dumps(found), flush=True)
     return found
 

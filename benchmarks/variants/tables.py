@@ -2,7 +2,8 @@
 
 python benchmarks/variants/tables.py
 
-`sweep_TASK.json` is what `sweep.py --json` wrote, `headroom_TASK_N.json` what `headroom.py --json` wrote for list N.
+`sweep_TASK.json` is what `one_at_a_time.py --json` wrote, `headroom_TASK_N.json` what `headroom.py --json` wrote for
+list N.
 """
 
 import json

@@ -61,6 +61,21 @@ def test_curves_of_rounds_are_those_of_their_students_and_the_blind(tmp_path: Pa
     assert [each.method for each in read_curves([clone])] == ["train clone", "train clone, blind"]
 
 
+def test_a_contact_model_and_draws_are_methods_of_their_own(tmp_path: Path) -> None:
+    line = json.dumps({"round": 1, "env_steps": 70, "student": {"successes": 3, "episodes": 10}})
+    recipes: dict[str, dict[str, object]] = {
+        "train": {"contact_model": "challenge-2025", "draws": {}},
+        "train, arena-2": {"contact_model": "arena-2"},
+        "train, arena-2, drawn, fidelity training": {
+            "contact_model": "arena-2",
+            "draws": {"clearance_mm": [1, 2]},
+            "fidelity": "training",
+        },
+    }
+    runs = [write_run(tmp_path / name, "log.jsonl", line, **recipe) for name, recipe in recipes.items()]
+    assert [each.method for each in read_curves(runs)] == list(recipes)
+
+
 def test_stored_curves_are_read_again_and_a_newer_one_of_the_same_training_replaces_them(tmp_path: Path) -> None:
     path = tmp_path / "curves.json"
     path.write_text(write_curves([curve(0, 10, 20), curve(1, 15)]))
