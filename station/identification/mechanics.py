@@ -178,7 +178,7 @@ class _Replay:
                 raise VitacError("The first probe has to be a grasp; play all probes.")
             *linear, rotation_deg = sample.axes
             if sample.probe is ProbeKind.AIR:
-                stage[2].follow(linear[2] + _LIFT_MM)  # the stage came down
+                stage[2].follow(linear[2] + _LIFT_MM)  # from above
             x_mm, y_mm, z_mm = (axis.follow(each) for axis, each in zip(stage, linear, strict=True))
             if sample.probe not in (ProbeKind.GRASP, ProbeKind.LIGHT_GRASP):
                 axes = in_world((x_mm, y_mm, z_mm, rotation_deg), self._hole, hidden)
