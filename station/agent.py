@@ -24,7 +24,7 @@ from vitac.evaluator.episodes.records import (
     canonical_json,
 )
 from vitac.evaluator.scoring.failures import is_broken
-from vitac.evaluator.shards.order import ShardEnd, ShardOrder, ShardResult
+from vitac.evaluator.shards.order import AttemptSpent, ShardEnd, ShardOrder, ShardResult
 from vitac.evaluator.shards.policy import load_in_sandbox
 from vitac.evaluator.submission.manifest import load_manifest
 from vitac.evaluator.tracks import Episode, Task
@@ -104,7 +104,16 @@ class StationShard:
                     return
                 if episode.shape != shape:
                     raise TrialNotPlayed(f"Trial {episode.number} needs the {episode.shape}; the {shape} is mounted.")
-                (attempt,) = self._player.play(self._task, episode, reading, lambda: session, order.code)
+                (attempt,) = self._player.play(
+                    self._task,
+                    episode,
+                    reading,
+                    lambda: session,
+                    order.code,
+                    was_stopped_by_force=order.attempt > 1,
+                )
+                if attempt.stopped_by_force and not attempt.outcome.counts:
+                    raise AttemptSpent(f"Trial {episode.number}: {attempt.outcome.sentence} {attempt.reason}")
                 if self._is_killed or not attempt.outcome.counts:
                     raise TrialNotPlayed(f"Trial {episode.number}: {attempt.outcome.sentence} {attempt.reason}")
                 if order.code is not None and attempt.video is None:

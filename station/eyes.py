@@ -20,7 +20,7 @@ from .devices.cameras import AnyDepthCamera, GelSightCamera, Picture, open_depth
 from .devices.force_torque import ForceTorqueSensor
 from .devices.gripper import HandE
 from .devices.stage import DeviceFault, GrblState, LinearStage
-from .guard import Guard
+from .guard import Guard, StopCause
 from .overview import Overview
 from .perception.markers import DROPPED_PICTURES, AssignedMarkerTracker, MarkerFlow, MarkerTracker
 from .perception.observation import DAMAGED_PART, Cells, find_changed_part, measure_brightness
@@ -228,14 +228,14 @@ class Eyes:
                 guard.stop(
                     f"The {side} gel is damaged or covered: {part:.0%} of its picture is darker or brighter by half "
                     "than when its tracker started.",
-                    by_fault=True,
+                    cause=StopCause.FAULT,
                 )
         for flow in (sight.left, sight.right) if self.stops_on_movement else ():
             guard.see_markers(flow.current - flow.reference)
 
     def _fail(self, error: DeviceFault) -> None:
         if self.guard is not None:
-            self.guard.stop(str(error), by_fault=True)
+            self.guard.stop(str(error), cause=StopCause.FAULT)
         with self._changed:
             self._error = error
             self._changed.notify_all()

@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from enum import StrEnum
 from threading import Condition, Event, Lock, Thread
 from time import monotonic
 from typing import Final, Self
@@ -106,6 +107,17 @@ def _mean(wrenches: list[Wrench]) -> Wrench:
     return Wrench(*np.mean(wrenches, axis=0).tolist())
 
 
+class StopCause(StrEnum):
+    """What stopped a station."""
+
+    FORCE = "force"
+    """The limit of force or torque."""
+    LIMIT = "limit"
+    """Another limit, or somebody."""
+    FAULT = "fault"
+    """A device."""
+
+
 class StationStopped(VitacError):
     """The station is stopped, and the message says why: make it safe, then release it."""
 
@@ -120,7 +132,7 @@ class Guard:
         gripper: activated.
         force_torque: its stream has started.
         clock: the time that heartbeats are counted by.
-        by_fault: whether a device's fault stopped it, rather than a limit.
+        stopped_by: what stopped it the last time.
         forces_n: sizes of the last forces; whoever wants those of a time clears it at its start.
     """
 
@@ -129,7 +141,7 @@ class Guard:
     gripper: HandE
     force_torque: ForceTorqueSensor
     clock: Callable[[], float] = monotonic
-    by_fault: bool = False
+    stopped_by: StopCause | None = None
     forces_n: deque[float] = field(default_factory=lambda: deque(maxlen=_FORCES))
     _reason: str | None = None
     _heard_s: float = 0.0
@@ -205,7 +217,7 @@ class Guard:
             self.check_released()
             status = self.stage.status()
             if status.state is GrblState.ALARM:
-                self.stop("The stage is in alarm.", by_fault=True)
+                self.stop("The stage is in alarm.", cause=StopCause.FAULT)
                 raise DeviceFault("The stage is in alarm: clear its way, then home it.")
             if status.state is GrblState.IDLE:
                 self.check_released()
@@ -236,17 +248,17 @@ class Guard:
         except LimitPassed as error:
             self.stop(str(error))
 
-    def stop(self, reason: str, *, by_fault: bool = False) -> None:
+    def stop(self, reason: str, *, cause: StopCause = StopCause.LIMIT) -> None:
         """Hold the stage at once; the first reason counts. The gripper holds on to what it has.
 
         Args:
             reason: a sentence.
-            by_fault: whether a device failed, rather than a limit was passed.
+            cause: what stops it.
         """
         with self._stopping:
             is_first, self._reason = self._reason is None, self._reason or reason
             if is_first:
-                self.by_fault = by_fault
+                self.stopped_by = cause
                 try:
                     self.stage.hold()
                 except DeviceFault as error:
@@ -277,9 +289,9 @@ class Guard:
                         self._arrived.notify_all()
                     self.forces_n.append(math.hypot(*wrench[:3]))
             except LimitPassed as error:
-                self.stop(str(error))
+                self.stop(str(error), cause=StopCause.FORCE)
             except DeviceFault as error:
-                self.stop(str(error), by_fault=True)
+                self.stop(str(error), cause=StopCause.FAULT)
                 self._over.wait(CONTROL_PERIOD_S)
             silent_s = self.clock() - self._heard_s
             if silent_s > self.limits.heartbeat_s:

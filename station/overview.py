@@ -13,7 +13,7 @@ import numpy as np
 from .description import OverviewSettings
 from .devices.cameras import Picture, UsbCamera
 from .devices.stage import DeviceFault
-from .guard import Guard
+from .guard import Guard, StopCause
 
 _MODULE_PX: Final = 8
 _QUIET_PX: Final = 32
@@ -49,7 +49,7 @@ class Overview:
             try:
                 self.latest = self._camera.read()
             except DeviceFault as error:
-                self._guard.stop(str(error), by_fault=True)
+                self._guard.stop(str(error), cause=StopCause.FAULT)
                 return
 
 

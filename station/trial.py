@@ -20,7 +20,7 @@ from vitac.evaluator.tracks import Episode, Task
 from .arm import Arm, NoPeg, Offset
 from .devices.stage import DeviceFault, Pose
 from .eyes import OpenStation, SensorReading
-from .guard import LARGEST_RADIUS_MM, LARGEST_THETA_DEG, LimitPassed, StationStopped
+from .guard import LARGEST_RADIUS_MM, LARGEST_THETA_DEG, LimitPassed, StationStopped, StopCause
 from .operators import Operator, OperatorDecision
 from .outcome import TrialOutcome
 from .perception.observation import NoMarkerFollowed, marker_flow, mean_by_region
@@ -70,6 +70,7 @@ class Attempt:
         video: None where none was recorded whole.
         forces: on the force/torque sensor, from the descent on.
         help: of people.
+        stopped_by_force: whether the limit of force or torque stopped a motion of the policy.
     """
 
     outcome: TrialOutcome = TrialOutcome.REFUSED
@@ -88,6 +89,7 @@ class Attempt:
     video: TrialVideo | None = None
     forces: ContactForces | None = None
     help: tuple[HumanHelp, ...] = ()
+    stopped_by_force: bool = False
 
 
 class StationTrial:
@@ -356,8 +358,10 @@ class StationTrial:
         """Return what ended the attempt: over-force is the policy's doing, everything else the station's."""
         seen = self._station.eyes.latest
         if isinstance(error, StationStopped):
-            if self._station.guard.by_fault:
+            cause = self._station.guard.stopped_by
+            if cause is StopCause.FAULT:
                 return TrialOutcome.DEVICE_FAULT
+            self._attempt.stopped_by_force = cause is StopCause.FORCE and bool(self._attempt.actions)
             if self._attempt.encoders and seen and seen.is_over_force():
                 return TrialOutcome.TACTILE
         return next((outcome for kind, outcome in _OUTCOMES.items() if isinstance(error, kind)), TrialOutcome.STOPPED)

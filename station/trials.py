@@ -137,9 +137,18 @@ class TrialPlayer:
         return self.folder / "trial.mjpeg"
 
     def play(
-        self, task: Task, episode: Episode, reading: Reading, open_session: OpenSession, code: str | None = None
+        self,
+        task: Task,
+        episode: Episode,
+        reading: Reading,
+        open_session: OpenSession,
+        code: str | None = None,
+        *,
+        was_stopped_by_force: bool = False,
     ) -> list[Attempt]:
         """Play a trial until an attempt counts, at most `attempts` times, and return all of them.
+
+        One whose policy is stopped by the limit of force or torque is repeated once; then it counts as over-force.
 
         Args:
             task: that is played.
@@ -147,6 +156,7 @@ class TrialPlayer:
             reading: what the policy observes.
             open_session: gives the loaded policy.
             code: one-time code of the trial; without one no video is recorded.
+            was_stopped_by_force: whether the limit of force or torque ended an attempt before.
         """
         played: list[Attempt] = []
         while len(played) < self.attempts and not (played and played[-1].outcome.counts):
@@ -154,7 +164,11 @@ class TrialPlayer:
                 self.operator.make_safe(stopped_for)
                 self._stopped_for = None
             self.operator.begin(_describe(task, episode, len(played) + 1, code))
-            played.append(self._attempt(task, episode, reading, open_session, len(played) + 1, code))
+            attempt = self._attempt(task, episode, reading, open_session, len(played) + 1, code)
+            if attempt.stopped_by_force and was_stopped_by_force:
+                attempt.outcome = TrialOutcome.TACTILE
+            was_stopped_by_force |= attempt.stopped_by_force
+            played.append(attempt)
         return played
 
     @property

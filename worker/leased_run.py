@@ -13,6 +13,7 @@ from typing import ClassVar, Generic, Protocol, TypeVar
 import structlog
 from sqlalchemy.orm import Session
 from vitac.errors import VitacError
+from vitac.evaluator.shards.order import AttemptSpent
 from vitac.evaluator.tracks.sealed import write_secret
 from vitac.server.competitions.sealing import find_secret
 from vitac.server.errors import ProblemCode, ServiceError
@@ -115,9 +116,10 @@ class LeasedRun(ABC, Generic[ProcessT]):
         """Let another worker do it (after a while); this was no attempt."""
         work.hand_back(session, self.lease, delay_s=delay_s)
 
-    def _report_broken(self, session: Session, message: str) -> None:
-        """Say that this machine could not do it, which counts as an attempt."""
-        work.report_broken(session, self._services.settings, self.lease, message, give_up=give_up)
+    def _report_broken(self, session: Session, message: str, *, is_free: bool = True) -> None:
+        """Say that this machine could not do it, which counts as an attempt unless such ones are free."""
+        settings = self._services.settings
+        work.report_broken(session, settings, self.lease, message, give_up=give_up, is_free=is_free)
 
     def _report_too_slow(self, session: Session, limit_s: float) -> None:
         """Say that it took longer than an attempt may, which counts as one."""
@@ -205,7 +207,8 @@ class LeasedRun(ABC, Generic[ProcessT]):
         if self._is_idle.is_set():
             message = f"No {self.step} within {self._services.settings.shard_idle_timeout_s:g} s."
         self._logger.error("work_broke", error=message)
-        self._database(lambda session: self._report_broken(session, message))
+        is_free = not isinstance(error, AttemptSpent)
+        self._database(lambda session: self._report_broken(session, message, is_free=is_free))
         return RunEnd.BROKE
 
     def _lacks_space(self, error: Exception) -> bool:

@@ -304,6 +304,7 @@ class ShardRun(LeasedRun[RunningShard]):
             isolation=rules.isolation,
             remote=self._remote_address(path),
             code=self._lease.code,
+            attempt=self._lease.attempt,
             track=self._lease.track,
             task=self._lease.task,
             evaluator_version=self._lease.evaluator_version,

@@ -7,7 +7,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Final
 
-from pydantic import NonNegativeInt
+from pydantic import NonNegativeInt, PositiveInt
 from vitac.envs.maniskill.definition import is_maniskill
 from vitac.errors import VitacError
 
@@ -75,8 +75,14 @@ def decode_waiting(word: bytes) -> tuple[int, int]:
     return played, starts
 
 
-_OF_ONE_SHARD: Final = frozenset({"secret", "shard", "episodes", "skip", "earlier_failures", "coefficients", "code"})
+_OF_ONE_SHARD: Final = frozenset(
+    {"secret", "shard", "episodes", "skip", "earlier_failures", "coefficients", "code", "attempt"}
+)
 """Which episodes are played, and from where they are taken; environment and policy are the same for all lists."""
+
+
+class AttemptSpent(VitacError):
+    """Ended work in a way that costs it an attempt where faults of machines cost none; the message says how."""
 
 
 class ShardOrder(StrictModel):
@@ -89,7 +95,7 @@ class ShardOrder(StrictModel):
     is the time from the start of an episode to that of the next [s], and `isolation` what stands between policy and
     machine; without them what the machine is set to. `remote` is the address of a policy server that plays in place of
     the submission's own code. A process of another `evaluator_version` than the given one refuses the order. `code` is
-    the one-time code of a trial on a station.
+    the one-time code of a trial on a station, and `attempt` counts those that were not free.
     """
 
     kind: SubmissionKind
@@ -109,6 +115,7 @@ class ShardOrder(StrictModel):
     isolation: IsolationKind | None = None
     remote: str | None = None
     code: str | None = None
+    attempt: PositiveInt = 1
     skip: tuple[int, ...] = ()
     earlier_failures: tuple[PolicyFailure, ...] = ()
 

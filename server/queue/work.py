@@ -303,10 +303,20 @@ def hand_back(session: Session, claim: Claim, *, delay_s: float = 0.0) -> None:
     _queue_again(session, claim, attempts=func.greatest(Work.attempts - 1, 0), delay_s=delay_s)
 
 
-def report_broken(session: Session, settings: Settings, claim: Claim, message: str, *, give_up: GiveUp) -> None:
+def report_broken(
+    session: Session, settings: Settings, claim: Claim, message: str, *, give_up: GiveUp, is_free: bool = True
+) -> None:
     """Queue work again that this machine could not do; after the last attempt, give it up.
 
     Attempts in which it progressed do not count: machines end nothing as long as it moves.
+
+    Args:
+        session: of the database.
+        settings: of the service.
+        claim: of the work.
+        message: what happened.
+        give_up: ends what the work belongs to.
+        is_free: whether it was the machine alone, so that the attempt is free where such ones are.
 
     Raises:
         LeaseLost: the work is no longer ours.
@@ -314,7 +324,7 @@ def report_broken(session: Session, settings: Settings, claim: Claim, message: s
     work = session.execute(select(Work.attempts, Work.repeats).where(*_held(claim))).one_or_none()
     if work is None:
         raise lost(claim)
-    attempts = _count_attempts(claim.kind, *work)
+    attempts = _count_attempts(claim.kind, *work) if is_free else work.attempts
     if attempts >= settings.shard_attempts:
         give_up(session, claim, f"Tried {attempts} times without progress. The last time: {message}")
         return

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from vitac.station.devices.stage import DeviceFault
 from vitac.station.eyes import Eyes, Finger
+from vitac.station.guard import StopCause
 from vitac.station.perception.markers import DROPPED_PICTURES
 from vitac.station.twin.gel_view import SMALL_CAMERA, marker_grid
 
@@ -38,7 +39,7 @@ class Guarded:
 
     def __init__(self) -> None:
         self.reasons, self.seen = list[str](), 0
-        self.stop = lambda reason, *, by_fault: self.reasons.append(reason) if by_fault else None
+        self.stop = lambda reason, *, cause: self.reasons.append(reason) if cause is StopCause.FAULT else None
 
     def beat(self) -> None:
         """It is alive."""

@@ -11,7 +11,7 @@ import pytest
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
 from vitac.evaluator.episodes.reading import make_reading
 from vitac.evaluator.episodes.records import EpisodeOutcome
-from vitac.evaluator.shards.order import ShardEnd, ShardOrder
+from vitac.evaluator.shards.order import AttemptSpent, ShardEnd, ShardOrder
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Episode, load_track
 from vitac.station import agent, trials
@@ -30,8 +30,8 @@ EPISODE = Episode(number=7, shape="cuboid", offset=(1.0, 2.0, 3.0), offset_optio
 class Laboratory:
     """A station whose attempts end as a test says; counts how often its devices were opened."""
 
-    def __init__(self, *outcomes: TrialOutcome | None) -> None:
-        self.outcomes, self.opened, self.reasons = list(outcomes), 0, list[str]()
+    def __init__(self, *outcomes: TrialOutcome | None, by_force: bool = False) -> None:
+        self.outcomes, self.opened, self.reasons, self.by_force = list(outcomes), 0, list[str](), by_force
 
     @contextmanager
     def open_station(self, _: object) -> Iterator[Any]:
@@ -44,11 +44,12 @@ class Laboratory:
     def trial(self, *_: object, **__: object) -> Any:
         outcome = self.outcomes.pop(0)
         assert outcome is not None
-        return SimpleNamespace(play=lambda: Attempt(outcome=outcome, reason=str(outcome)))
+        attempt = Attempt(outcome=outcome, reason=str(outcome), stopped_by_force=self.by_force)
+        return SimpleNamespace(play=lambda: attempt)
 
     def play(self, monkeypatch: pytest.MonkeyPatch) -> list[TrialOutcome]:
         monkeypatch.setattr(trials, "open_station", self.open_station)
-        monkeypatch.setattr(trials, "Trial", self.trial)
+        monkeypatch.setattr(trials, "StationTrial", self.trial)
         description: Any = None
         operator: Any = SimpleNamespace(
             stop_reason=None, make_safe=self.reasons.append, begin=lambda _: None, end=lambda: ()
@@ -78,6 +79,10 @@ def test_attempts_that_do_not_count_are_repeated_with_devices_opened_again_after
     laboratory = Laboratory(*outcomes)
     assert laboratory.play(monkeypatch) == played
     assert (laboratory.opened, laboratory.reasons) == (opened, reasons)
+
+
+def test_a_policy_that_the_limit_of_force_stops_twice_has_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert Laboratory(S, S, by_force=True).play(monkeypatch) == [S, T]
 
 
 def test_trial_without_an_attempt_that_counts_is_no_result() -> None:
@@ -115,19 +120,21 @@ def test_failure_of_a_policy_is_in_its_record() -> None:
 class Attempts:
     """A player on which a cuboid is mounted, whose attempts end as a test says."""
 
-    def __init__(self, *outcomes: TrialOutcome) -> None:
+    def __init__(self, *outcomes: TrialOutcome, by_force: bool = False) -> None:
         self.outcomes, self.played, self.stopped = list(outcomes), list[int](), list[str]()
+        self.by_force, self.was_stopped = by_force, list[bool]()
         self.description = SimpleNamespace(name="lab", procedure=SimpleNamespace(shape="cuboid"))
         self.stop = self.stopped.append
         self.operator = Operator(asks=False)
 
-    def play(self, _: object, episode: Episode, *__: object) -> list[Attempt]:
+    def play(self, _: object, episode: Episode, *__: object, was_stopped_by_force: bool) -> list[Attempt]:
         self.played.append(episode.number)
-        return [Attempt(outcome=self.outcomes.pop(0))]
+        self.was_stopped.append(was_stopped_by_force)
+        return [Attempt(outcome=self.outcomes.pop(0), stopped_by_force=self.by_force)]
 
 
 def running(
-    player: Any, shape: str, repository: Path, monkeypatch: pytest.MonkeyPatch, skip: int = 0, code: str | None = None
+    player: Any, shape: str, repository: Path, monkeypatch: pytest.MonkeyPatch, skip: int = 0, **facts: Any
 ) -> AbstractContextManager[StationShard]:
     """A shard of the first two starts of a shape; as many as `skip` says have a record."""
     monkeypatch.setattr(agent, "load_in_sandbox", lambda *_: nullcontext(SimpleNamespace(isolation=None)))
@@ -141,7 +148,7 @@ def running(
         shard=0,
         episodes=numbers,
         skip=numbers[:skip],
-        code=code,
+        **facts,
     )
     return StationShards(player).running_shard(order)
 
@@ -170,6 +177,19 @@ def test_trial_that_does_not_count_or_cannot_be_played_has_no_record(
         pytest.raises(TrialNotPlayed, match=sentence),
     ):
         next(shard.records())
+
+
+@pytest.mark.parametrize(("attempt", "was_stopped"), [(1, False), (2, True)])
+def test_a_stop_by_force_costs_an_attempt_and_is_known_in_the_next(
+    attempt: int, was_stopped: bool, repository: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    player = Attempts(S, by_force=True)
+    with (
+        running(player, "cuboid", repository, monkeypatch, attempt=attempt) as shard,
+        pytest.raises(AttemptSpent, match="Trial 1: A limit of the station was passed"),
+    ):
+        next(shard.records())
+    assert player.was_stopped == [was_stopped]
 
 
 def test_trial_whose_video_is_not_whole_has_no_record(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:

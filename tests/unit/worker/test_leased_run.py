@@ -77,7 +77,7 @@ class FakeRun(LeasedRun[FakeProcess]):
         self.handing_back()
         self.said.append(delay_s)
 
-    def _report_broken(self, session: Session, message: str) -> None:
+    def _report_broken(self, session: Session, message: str, *, is_free: bool = True) -> None:
         self.said.append(message)
 
 

@@ -24,6 +24,7 @@ OWN = {
     "skip": (3,),
     "earlier_failures": (FAILURE,),
     "code": "0123456789ABCDEF",
+    "attempt": 2,
     "coefficients": Coefficients(mesh_hash="0" * 64, starts=3, regressions=()),
 }
 """What may differ between two orders that share."""

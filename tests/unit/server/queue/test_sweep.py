@@ -85,9 +85,17 @@ def test_lost_worker_is_noted_and_costs_a_trial_of_a_station_no_attempt_up_to_a_
     assert given_up == 1
 
 
-@pytest.mark.parametrize(("kind", "state"), [(WorkKind.TRIAL, "queued"), (WorkKind.SHARD, "cancelled")])
+@pytest.mark.parametrize(
+    ("kind", "is_free", "state"),
+    [(WorkKind.TRIAL, True, "queued"), (WorkKind.TRIAL, False, "cancelled"), (WorkKind.SHARD, True, "cancelled")],
+)
 def test_devices_with_faults_end_no_trial(
-    database: Database, submission: Submission, monkeypatch: pytest.MonkeyPatch, kind: WorkKind, state: str
+    database: Database,
+    submission: Submission,
+    monkeypatch: pytest.MonkeyPatch,
+    kind: WorkKind,
+    is_free: bool,
+    state: str,
 ) -> None:
     monkeypatch.setattr(work, "RETRY_DELAY_S", 0.0)
     first = ids_of(database, submission)[0]
@@ -96,7 +104,7 @@ def test_devices_with_faults_end_no_trial(
     for number in range(SETTINGS.shard_attempts):
         held = claim(database, first)
         with database.transaction() as session:
-            work.report_broken(session, SETTINGS, held, f"fault {number}", give_up=give_up)
+            work.report_broken(session, SETTINGS, held, f"fault {number}", give_up=give_up, is_free=is_free)
     with database.transaction() as session:
         assert session.get_one(Shard, first).state == state
 
