@@ -43,7 +43,7 @@ _COUNTED: Final = frozenset(
 _SENTENCES: Final = {
     TrialOutcome.SUCCESS: "The peg is in its hole, as gels and encoders say.",
     TrialOutcome.STEPS: "All env steps were used up.",
-    TrialOutcome.TACTILE: "A marker moved beyond the limit of over-force, or that of force or torque stopped the policy twice.",
+    TrialOutcome.TACTILE: "A marker moved beyond its limit, or that of force or torque stopped the policy twice.",
     TrialOutcome.ERROR: "An action led out of the range of offsets; nothing moved.",
     TrialOutcome.POLICY_FAILED: "The policy crashed, broke a limit or answered wrongly; nothing moved.",
     TrialOutcome.NOT_BLOCKED: "The descent met no plate, so the start was not blocked.",
