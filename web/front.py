@@ -10,7 +10,7 @@ from uuid import UUID
 from vitac.server.views.comparisons import PublicEpisodeView, StillView
 from vitac.server.views.competition import CompetitionState, CompetitionView
 from vitac.server.views.correspondence import AnnouncementView
-from vitac.server.views.leaderboards import LeaderboardEntryView
+from vitac.server.views.leaderboards import BaselineView, LeaderboardEntryView
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,6 +109,21 @@ class News:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Challenge:
+    """What a visitor who plays by hand is compared with.
+
+    Attributes:
+        task: that is played.
+        baseline: the best one of the task's board; None where no board here shows any.
+        address: of that board; empty without one.
+    """
+
+    task: str
+    baseline: BaselineView | None
+    address: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class FrontPage:
     """What the front page shows to everybody.
 
@@ -123,6 +138,7 @@ class FrontPage:
         has_past: whether the page of all competitions has more.
         said: the newest announcements.
         episode: a public one with a playback; None: the shipped one is played.
+        challenge: what visitors are invited to play by hand.
     """
 
     cards: Sequence[TrackCard]
@@ -135,6 +151,7 @@ class FrontPage:
     has_past: bool
     said: Sequence[AnnouncementView]
     episode: PublicEpisodeView | None
+    challenge: Challenge
 
 
 ValueT = TypeVar("ValueT")

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 def command(
     task: Annotated[str, typer.Argument(help="Task, such as peg-insertion.")],
-    out: Annotated[Path, typer.Option("--out", help="Folder; demonstrations in it are continued.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder; demonstrations in it are continued.")] = Path("by_hand"),
     seed: Annotated[int, typer.Option(min=0, help="Of the starts, which are in no official list.")] = 0,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Of the page; 0 for any that is free.")] = 0,
     browser: Annotated[bool, typer.Option(help="Open the page in a browser.")] = True,

@@ -8,11 +8,12 @@ from uuid import UUID
 from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
-from vitac.evaluator.tracks import find_task, load_track
+from vitac.evaluator.tracks import ListKind, find_task, load_track
 from vitac.server.accounts import messages
 from vitac.server.competitions.view import competition_list_view, competition_view, track_stages
 from vitac.server.database.states import EvaluationState
 from vitac.server.evaluations.progress import count_open
+from vitac.server.leaderboards.baselines import list_baselines
 from vitac.server.leaderboards.public_pages import public_among
 from vitac.server.leaderboards.reading import shown_leaderboard, shown_rank_history
 from vitac.server.playbacks.stills import find_stills, newest_public_episode
@@ -27,7 +28,7 @@ from vitac.server.views.competition import (
 )
 from vitac.server.views.leaderboards import DatedRankView, LeaderboardEntryView, LeaderboardView
 
-from ..front import CompetitionCard, FrontPage, News, TrackCard, TrackState
+from ..front import Challenge, CompetitionCard, FrontPage, News, TrackCard, TrackState
 from ..rendering import STATIC
 from ..site import Site, get_site, get_viewer, page
 from .addresses import board_address, board_query, competition_address
@@ -40,6 +41,9 @@ ANNOUNCEMENTS = 3
 EXAMPLE = "example.scene"
 """The playback of an episode of peg insertion in which the peg goes straight to its hole."""
 
+
+CHALLENGE = "peg-insertion"
+"""The task that visitors are invited to play by hand."""
 
 PICTURES = {"track_1": "lock-opening"}
 """Tasks whose pictures stand for their tracks, in place of those of their first tasks."""
@@ -90,6 +94,7 @@ def _front(session: Session, site: Site) -> FrontPage:
         has_past=len(shown) < len(listed),
         said=messages.list_announcements(session)[:ANNOUNCEMENTS],
         episode=newest_public_episode(session, site.services.settings),
+        challenge=_make_challenge(boards, several=len(cups) > 1),
     )
 
 
@@ -103,9 +108,9 @@ class _Board:
     view: LeaderboardView
     is_first: bool
 
-    def address(self, *, several: bool) -> str:
+    def address(self, *, several: bool, task: str | None = None) -> str:
         place = board_address(self.competition if several else None, self.track)
-        return place + board_query(None, self.stage.name if self.stage and not self.is_first else None)
+        return place + board_query(task, self.stage.name if self.stage and not self.is_first else None)
 
 
 def _read_boards(session: Session, track: str, listed: Sequence[CompetitionSummaryView]) -> list[_Board]:
@@ -131,6 +136,16 @@ def _read_boards(session: Session, track: str, listed: Sequence[CompetitionSumma
             for view in (shown, *earlier)
         ]
     return boards
+
+
+def _make_challenge(boards: Mapping[str, Sequence[_Board]], *, several: bool) -> Challenge:
+    """Return what a visitor who plays by hand is compared with, on the first board that shows baselines."""
+    track, _ = find_task(CHALLENGE)
+    shown = next((one for one in boards.get(track.name, ()) if one.view.list_kind is ListKind.PUBLIC), None)
+    if shown is None:
+        return Challenge(task=CHALLENGE, baseline=None, address="")
+    best = list_baselines(track, CHALLENGE)[0]
+    return Challenge(task=CHALLENGE, baseline=best, address=shown.address(several=several, task=CHALLENGE))
 
 
 def _list_news(

@@ -1,5 +1,6 @@
 import gzip
 import json
+import re
 import struct
 from typing import Any
 
@@ -8,11 +9,12 @@ from asgi_browser import AsgiBrowser
 from PIL import Image
 from played_episodes import ask_for_playback, real_files
 from seeded_site import GELBOTS, SeededSite, words
-from service_factories import TASK, TRACK
+from service_factories import TASK, TRACK, forget_boards
 from sqlalchemy import update
 from vitac.evaluator.tracks import load_track
 from vitac.server.accounts.messages import publish_announcement
 from vitac.server.api.conditional import compress
+from vitac.server.competitions.sealing import seal
 from vitac.server.database.models import Submission, Team
 from vitac.server.database.states import WorkState
 from vitac.server.playbacks.asking import PlaybackFile
@@ -21,7 +23,7 @@ from vitac.web.pages import home
 from vitac.web.pages.tracks import find_scene
 from vitac.web.rendering import STATIC
 
-from competitions import make_competition, moved, open_now
+from competitions import FIRST, make_competition, moved, open_now, sealed_competition, stored_stage
 
 
 def first_card(html: str) -> str:
@@ -65,6 +67,28 @@ def test_ways_in_are_buttons_and_each_card_leads_to_its_board_and_rules(browser:
 def test_visitors_are_invited_to_play_by_touch_themselves(browser: AsgiBrowser) -> None:
     assert '<a href="/docs/demonstrations#by-hand">Play with your own keyboard</a>' in browser.get("/").text
     assert 'id="by-hand"' in browser.get("/docs/demonstrations").text
+
+
+def test_who_plays_by_hand_is_told_which_row_of_which_board_to_beat(site: SeededSite) -> None:
+    challenge = site.visitor().get("/").text.partition("Can you do it by touch alone?")[2].partition("</p>")[0]
+    assert f"<code>./vitac play {TASK}</code>" in challenge
+    address = re.findall(r'href="(/tracks/[^"]+)"', challenge)
+    assert address == [f"/tracks/{TRACK}?task={TASK}"]
+    [row] = re.findall(r'<tr role="row" class="reference">.*?</tr>', site.visitor().get(address[0]).text, re.DOTALL)[:1]
+    said = r"is (.+), a policy that solves (.+) \((.+) to (.+)\) of the public list"
+    [(name, rate, low, high)] = re.findall(said, words(challenge))
+    for shown in (name, rate, f"{low} to {high}"):
+        assert shown in words(row)
+
+
+def test_where_no_board_has_baselines_none_is_named_to_beat(site: SeededSite) -> None:
+    site.hold(open_now(sealed_competition()))
+    with site.database.transaction() as session:
+        seal(session, CONSOLE, stored_stage(session, TRACK, FIRST))
+    forget_boards()
+    challenge = site.visitor().get("/").text.partition("Can you do it by touch alone?")[2].partition("</p>")[0]
+    assert f"./vitac play {TASK}" in challenge
+    assert "/tracks/" not in challenge
 
 
 def test_what_happened_lately_comes_first_and_links_what_is_public(site: SeededSite) -> None:
