@@ -66,3 +66,25 @@ def test_the_end_is_said_and_the_next_episode_begins(playing: Page) -> None:
     playing.get_by_role("button", name="Next episode").click()
     expect(playing.locator("#where")).to_contain_text("Episode 2, env step 0 of 50")
     expect(playing.locator("#where")).to_contain_text("0 of 1 solved")
+
+
+def next_step(playing: Page) -> str:
+    where = playing.locator("#where")
+    before = where.inner_text()
+    expect(where).not_to_have_text(before)
+    return where.inner_text()
+
+
+def test_the_sticks_of_a_game_pad_drive_the_gripper_and_its_first_button_plays_without_motion(playing: Page) -> None:
+    expect(playing.locator("#where")).to_contain_text("env step 0 of 50")
+    # The left stick rests a little aside, which moves nothing along x, and is pushed up by half, as half an ArrowUp.
+    playing.evaluate("window.pad = { connected: true, axes: [0.1, -0.5, 0, 0], buttons: [{ pressed: false }] };"
+                     "navigator.getGamepads = () => [null, window.pad]")  # fmt: skip
+    found = re.search(r"env step (\d+) of 50, moved 0, 0, (-[\d.]+)\. ", next_step(playing))
+    assert found
+    assert float(found[2]) == -0.5 * int(found[1])
+    playing.evaluate("window.pad = { connected: true, axes: [0, 0, 0, 0], buttons: [{ pressed: true }] }")
+    next_step(playing)  # perhaps one that had begun before
+    first, second = next_step(playing), next_step(playing)
+    assert first != second
+    assert first.partition("moved")[2] == second.partition("moved")[2]
