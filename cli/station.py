@@ -223,7 +223,8 @@ def run(
         def become_agent(worker_id: UUID) -> str:
             """Take the station's key before the first byte to its devices: another agent may be playing on them."""
             station = services.database.retrying(
-                lambda session: enrol(session, settings, key, worker_id), give_up_after_s=_DATABASE_S
+                lambda session: enrol(session, settings, key, worker_id, description.twin_words),
+                give_up_after_s=_DATABASE_S,
             )
             names.append(station)
             refuse_wrong_devices(description)

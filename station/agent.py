@@ -31,6 +31,7 @@ from vitac.evaluator.tracks import Episode, Task
 from vitac.evaluator.tracks.cut import cut
 from vitac.evaluator.tracks.sealed import load_played_track, read_secret
 
+from .description import StationDescription
 from .rehearsal import pack_actions
 from .trial import Attempt
 from .trials import TrialPlayer
@@ -119,7 +120,7 @@ class StationShard:
                 if order.code is not None and attempt.video is None:
                     raise TrialNotPlayed(f"Trial {episode.number} has no whole video. {attempt.reason}")
                 self.video = self._player.video_file if attempt.video else None
-                record = make_record(self._task, episode, attempt, self._player.description.name)
+                record = make_record(self._task, episode, attempt, self._player.description)
                 self._failures.extend([record.failure] if record.failure else [])
                 yield record
 
@@ -139,7 +140,7 @@ class StationShard:
         return [each for each in shard.episodes if each.number not in self._order.skip]
 
 
-def make_record(task: Task, episode: Episode, attempt: Attempt, station: str) -> EpisodeRecord:
+def make_record(task: Task, episode: Episode, attempt: Attempt, station: StationDescription) -> EpisodeRecord:
     """Return the record of a trial; a state hash covers what was measured, the video so far, and the hash before."""
     measured = [_measured(attempt, number) for number in range(len(attempt.actions) + 1)]
     return EpisodeRecord(
@@ -154,7 +155,7 @@ def make_record(task: Task, episode: Episode, attempt: Attempt, station: str) ->
         state_hashes=tuple(_chained(measured)),
         infos=tuple(measured[1:]),
         forces=attempt.forces,
-        evidence=TrialEvidence(station=station, video=attempt.video, help=attempt.help),
+        evidence=TrialEvidence(station=station.name, twin=station.twin_words, video=attempt.video, help=attempt.help),
         failure=_failure(attempt.failure),
         timings=Timings(policy_s=attempt.policy_s),
         output=attempt.output,

@@ -275,6 +275,11 @@ class StationDescription(StrictModel):
     twin: TwinMark | None = None
     """Where it is a twin: every result and figure of it says so."""
 
+    @property
+    def twin_words(self) -> str | None:
+        """What kind of twin it is; None for hardware."""
+        return str(self.twin) if self.twin else None
+
     @model_validator(mode="after")
     def _check_devices(self) -> Self:
         if self.left.serial_number == self.right.serial_number:

@@ -117,7 +117,7 @@ NOUNS: Mapping[str, AdminNoun] = {
             Verb(
                 "trials",
                 f"GET {STAGE}/trials",
-                columns=("position", "station", "submission_id", "task", "episode", "state"),
+                columns=("position", "station", "twin", "submission_id", "task", "episode", "state"),
                 none="No trial is planned.",
             ),
             Verb(
@@ -644,7 +644,7 @@ NOUNS: Mapping[str, AdminNoun] = {
             Verb(
                 "list",
                 "GET /stations",
-                columns=("name", "worker_id", "created_at"),
+                columns=("name", "twin", "worker_id", "created_at"),
                 none="No station; `vitac admin station add` adds one.",
             ),
             Verb(

@@ -34,6 +34,8 @@ NOT_HASHED: Final = frozenset({"timings", "output"})
 _OMITTED: Final = frozenset({"picture", "forces", "evidence"})
 """Fields that the JSON of a record has only where there is a value."""
 StateHash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+TwinWords = Annotated[str, Field(pattern=r"^[\w.+:, -]+$", max_length=1000)]
+"""What kind of twin a station is (`station.description.TwinMark`); plain words, as `Word` is."""
 
 
 class RecordsDisagree(VitacError):
@@ -218,11 +220,13 @@ class TrialEvidence(StrictModel):
 
     Attributes:
         station: by its name.
+        twin: what kind of twin played it in place of a station's devices, in words; None for hardware.
         video: None where the station's trials have none.
         help: of people.
     """
 
     station: Word
+    twin: TwinWords | None = None
     video: TrialVideo | None = None
     help: tuple[HumanHelp, ...] = ()
 

@@ -90,7 +90,8 @@ class Rate(StrictModel):
 class Score(Rate):
     """The score of finished episodes. `mean_steps` is None without a success, `forces` without a record of any.
 
-    `measures` has the means of what boards may rank by and every episode has.
+    `measures` has the means of what boards may rank by and every episode has; `twins` how many episodes a twin of each
+    kind played in place of a station's devices.
     """
 
     mean_steps: float | None
@@ -98,6 +99,7 @@ class Score(Rate):
     outcomes: dict[EpisodeOutcome, NonNegativeInt]
     forces: ForceSummary | None = None
     measures: dict[str, float] = Field(default={})
+    twins: dict[str, NonNegativeInt] = Field(default={})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,6 +262,7 @@ def score(records: Collection[EpisodeRecord], measures: Iterable[Measure] = ()) 
         outcomes=dict(sorted(Counter(record.outcome for record in records).items())),
         forces=summarize_forces(record.forces for record in records),
         measures=_average_shared([_read_measures(record, measures) for record in ordered]),
+        twins=Counter(record.evidence.twin for record in ordered if record.evidence and record.evidence.twin),
     )
 
 

@@ -94,6 +94,7 @@ CREATE TABLE stations (
     name TEXT NOT NULL,
     key_sha256 TEXT NOT NULL,
     worker_id UUID,
+    twin TEXT,
     created_at TIMESTAMP WITH TIME ZONE DEFAULT now() NOT NULL,
     CONSTRAINT pk_stations PRIMARY KEY (name),
     CONSTRAINT uq_stations_key_sha256 UNIQUE (key_sha256)

@@ -10,13 +10,13 @@ from datetime import UTC, datetime, timedelta
 from typing import Final
 from uuid import UUID
 
-from sqlalchemy import select
+from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 
 from .. import names
 from ..audit import record
 from ..database.clock import read_clock
-from ..database.models import Station, Worker
+from ..database.models import LivePicture, Station, Worker
 from ..database.states import WorkerState
 from ..errors import ProblemCode, ServiceError, not_found
 from ..principals import Principal
@@ -64,8 +64,17 @@ def list_stations(session: Session) -> Sequence[Station]:
     return session.scalars(select(Station).order_by(Station.name)).all()
 
 
-def enrol(session: Session, settings: Settings, key: str, worker_id: UUID) -> str:
+def enrol(session: Session, settings: Settings, key: str, worker_id: UUID, twin: str | None) -> str:
     """Make a worker the agent of the station with a key, and return the station's name.
+
+    Pictures from before it became a twin, another one or hardware are deleted: nobody may take them for the station's.
+
+    Args:
+        session: of the transaction.
+        settings: of the service.
+        key: of the station.
+        worker_id: of the agent.
+        twin: what kind of twin it plays on, in words; None for hardware.
 
     Raises:
         ServiceError: no station has this key, its clock is wrong, or another agent has it and is alive.
@@ -81,7 +90,9 @@ def enrol(session: Session, settings: Settings, key: str, worker_id: UUID) -> st
             f"{other.heartbeat_at:%H:%M:%S} UTC. End that agent; one that died can be followed after "
             f"{settings.worker_lost_after_s:g} s."
         )
-    station.worker_id = worker_id
+    if station.twin != twin:
+        session.execute(delete(LivePicture).where(LivePicture.station == station.name))
+    station.worker_id, station.twin = worker_id, twin
     return station.name
 
 

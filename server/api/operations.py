@@ -44,6 +44,9 @@ class StationRow(BaseModel):
     model_config = ConfigDict(from_attributes=True)
     name: str
     worker_id: UUID | None
+    twin: str | None = Field(
+        description="What kind of twin that agent plays on, in words; null for hardware, and before the first agent."
+    )
     created_at: datetime
 
 

@@ -14,9 +14,10 @@ from ..audit import record
 from ..competitions.competition import Competition
 from ..competitions.definition import TrialPlan
 from ..competitions.stages import Stage
-from ..database.models import Evaluation, Station, Submission, Team, Trial
+from ..database.models import EpisodeResult, Evaluation, Station, Submission, Team, Trial
 from ..database.states import WorkState
 from ..errors import ProblemCode, ServiceError
+from ..evaluations.episode_store import EpisodeKey
 from ..principals import Principal
 from ..queue.work import UNPLANNED, at_station, find_station
 from ..views.competition import PlannedTrialView
@@ -68,10 +69,18 @@ def list_trials(session: Session, by: Principal, stage: Stage) -> list[PlannedTr
     _require_plan(stage)
     sees_all = by.organizes(stage.competition) or stage.is_revealed
     names = ShownNames.read(session, by)
+    shown = [
+        (position, trial)
+        for position, trial in enumerate(planned_trials(session, stage), start=1)
+        if sees_all or trial.evaluation.submission.team_id == by.team_id
+    ]
+    now = read_twins(session)
+    played = {each: _read_played_twins(session, each) for each in {trial.evaluation for _, trial in shown}}
     return [
         PlannedTrialView(
             position=position,
-            station=find_station(trial.requires),
+            station=(station := find_station(trial.requires)),
+            twin=played[trial.evaluation].get((trial.task, trial.episodes[0]), now.get(station)),
             team=names.show_name(trial.evaluation.submission.team),
             submission_id=trial.evaluation.submission_id,
             submission_name=trial.evaluation.submission.name,
@@ -79,9 +88,13 @@ def list_trials(session: Session, by: Principal, stage: Stage) -> list[PlannedTr
             episode=trial.episodes[0],
             state=trial.state,
         )
-        for position, trial in enumerate(planned_trials(session, stage), start=1)
-        if sees_all or trial.evaluation.submission.team_id == by.team_id
+        for position, trial in shown
     ]
+
+
+def read_twins(session: Session) -> dict[str, str | None]:
+    """Return what kind of twin each station is now, in words; None for hardware, and before its first agent."""
+    return {station.name: station.twin for station in session.scalars(select(Station))}
 
 
 def planned_trials(session: Session, stage: Stage) -> Sequence[Trial]:
@@ -91,6 +104,14 @@ def planned_trials(session: Session, stage: Stage) -> Sequence[Trial]:
 
 def _select(stage: Stage) -> Select[Trial]:
     return select(Trial).join(Trial.evaluation).join(Evaluation.submission).where(stage.submissions)
+
+
+def _read_played_twins(session: Session, evaluation: Evaluation) -> dict[tuple[str, int], str | None]:
+    """Return on what kind of twin each trial of an evaluation was played, by task and number."""
+    twin = EpisodeResult.record["evidence"]["twin"].astext
+    key = EpisodeKey.from_evaluation(evaluation, evaluation.submission)
+    rows = session.execute(select(EpisodeResult.task, EpisodeResult.episode, twin).where(*key.conditions()))
+    return {(task, number): words for task, number, words in rows}
 
 
 def _require_plan(stage: Stage) -> TrialPlan:

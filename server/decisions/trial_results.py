@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations
 from math import sqrt
 from statistics import fmean
+from typing import NamedTuple
 from uuid import UUID
 
 from sqlalchemy import select
@@ -28,6 +29,13 @@ Places = Mapping[tuple[UUID, str, int], Trial]
 """Planned trials by submission, task and start."""
 Played = Mapping[tuple[str, int], EpisodeResult]
 """Stored episodes of a submission, by task and number."""
+
+
+class Platform(NamedTuple):
+    """What trials were played on: a station, or a twin in place of its devices."""
+
+    name: str
+    twin: str | None
 
 
 def summarize(session: Session, by: Principal, stage: Stage) -> TrialResultsView | None:
@@ -82,23 +90,24 @@ def _compare(
 
 
 def _find_effects(played: Mapping[Submission, Played], places: Places) -> list[StationEffectView]:
-    by_station: dict[str, list[EpisodeResult]] = defaultdict(list)
-    at: dict[tuple[str, Submission], list[bool]] = defaultdict(list)
+    by_station: dict[Platform, list[EpisodeResult]] = defaultdict(list)
+    at: dict[tuple[Platform, Submission], list[bool]] = defaultdict(list)
     for submission, episodes in played.items():
         for (task, number), row in episodes.items():
-            station = find_station(places[submission.id, task, number].requires)
+            name = find_station(places[submission.id, task, number].requires)
+            station = Platform(name, row.record["evidence"]["twin"])
             by_station[station].append(row)
             at[station, submission].append(row.success)
     return [
         _make_effect(station, by_station[station], _list_differences(station, by_station, at, played))
-        for station in sorted(by_station)
+        for station in sorted(by_station, key=lambda each: (each.name, each.twin or ""))
     ]
 
 
 def _list_differences(
-    station: str,
-    stations: Iterable[str],
-    at: Mapping[tuple[str, Submission], Sequence[bool]],
+    station: Platform,
+    stations: Iterable[Platform],
+    at: Mapping[tuple[Platform, Submission], Sequence[bool]],
     submissions: Iterable[Submission],
 ) -> list[tuple[float, float]]:
     """Return for each submission its rate at a station minus that elsewhere, with its variance."""
@@ -122,7 +131,7 @@ def _variance(ends: Sequence[bool]) -> float:
 
 
 def _make_effect(
-    station: str, rows: Sequence[EpisodeResult], differences: Sequence[tuple[float, float]]
+    station: Platform, rows: Sequence[EpisodeResult], differences: Sequence[tuple[float, float]]
 ) -> StationEffectView:
     rate = rate_by_start((find_start(row), row.success) for row in rows)
     effect, interval = None, None
@@ -131,7 +140,8 @@ def _make_effect(
         half = NORMAL_QUANTILE * sqrt(sum(variance for _, variance in differences)) / len(differences)
         interval = (max(effect - half, -1.0), min(effect + half, 1.0))
     return StationEffectView(
-        station=station,
+        station=station.name,
+        twin=station.twin,
         episodes=rate.episodes,
         starts=rate.starts,
         successes=rate.successes,

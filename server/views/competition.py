@@ -33,6 +33,10 @@ class PlannedTrialView(View):
 
     position: int = Field(description="In the plan, from 1.")
     station: str
+    twin: str | None = Field(
+        description="What kind of twin the station was when it was played, or is until then, in words; null for "
+        "hardware, and before the station's first agent."
+    )
     team: str
     submission_id: UUID
     submission_name: str
@@ -52,9 +56,10 @@ class TrialDifferenceView(View):
 
 
 class StationEffectView(RateView):
-    """Trials at one station, whoever's they are."""
+    """Trials at one station, whoever's they are; those from when it was a twin stand apart."""
 
     station: str
+    twin: str | None = Field(description="What kind of twin the station was then, in words; null for hardware.")
     effect: float | None = Field(
         description="Success rate there minus that elsewhere, the mean over submissions; null for a single station."
     )

@@ -45,6 +45,10 @@ class TaskScoreView(TaskRateView):
     measures: dict[str, float] = Field(
         default={}, description="Means over the episodes of what boards may rank by, by its name."
     )
+    twins: dict[str, int] = Field(
+        default={},
+        description="How many of the episodes were played on a twin, no hardware, by the twin's kind in words.",
+    )
     result_hash: str = Field(description="The hash that `vitac evaluate` prints for the same evaluation.")
 
 

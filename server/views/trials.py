@@ -27,6 +27,7 @@ class TrialView(View):
     task: str
     episode: int
     station: str
+    twin: str | None = Field(description="What kind of twin the station was then, in words; null for hardware.")
     shape: str
     initial_offset: tuple[float, ...]
     outcome: EpisodeOutcome

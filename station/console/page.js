@@ -44,7 +44,7 @@ async function look() {
 }
 
 function show() {
-  at("title").textContent = `Station ${state.station}`;
+  at("title").textContent = `Station ${state.station}${state.twin ? `: ${state.twin}` : ""}`;
   at("phase").textContent = state.stopped ?? state.reason ?? (state.paused_s === null ? state.phase : `Paused for ${Math.round(state.paused_s)} s.`);
   at("pause").textContent = state.paused_s === null ? "Pause" : "Go on";
   at("stop").disabled = state.stopped !== null;

@@ -64,7 +64,9 @@ class ConsoleServer(OwnPageServer, ThreadingHTTPServer):
                 self._player.stop_by_operator(_STOP)
             case _:
                 raise ValueError(f"There is no {asked!r:.40}; expected state, decide, pause, resume, note or stop.")
-        return operator.describe() | {"station": self._player.description.name} | _describe(self._player.station)
+        station = self._player.description
+        named = {"station": station.name, "twin": station.twin_words}
+        return operator.describe() | named | _describe(self._player.station)
 
 
 def _find_pictures(station: OpenStation) -> dict[str, Any]:

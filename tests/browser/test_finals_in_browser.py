@@ -29,7 +29,7 @@ def test_pages_of_a_final_have_no_barriers(
     page: Page, site: SiteUnderTest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     teams = hold_final(site.seeded, tmp_path, monkeypatch)
-    play(site.seeded)
+    play(site.seeded, twin="a twin of class B, no hardware")
     with site.seeded.database.transaction() as session:
         own = session.scalars(select(Submission.id).where(Submission.team_id == teams["Ants"].team_id)).one()
     cookies = site.seeded.team_visitor("Ants").cookies

@@ -99,6 +99,7 @@ async def trials(request: Request) -> Response:
             "over": sum(trial.state not in OPEN_WORK_STATES for trial in places),
             "places": own,
             "results": trial_results.summarize(session, by, stage),
+            "twins": trial_plan.read_twins(session),
             "sees_all": by.organizes(stage.competition) or stage.is_revealed,
         }
 

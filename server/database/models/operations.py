@@ -43,12 +43,16 @@ class Worker(Base):
 
 
 class Station(Base):
-    """A laboratory whose agent plays trials; `worker_id` is the agent that used its key last."""
+    """A laboratory whose agent plays trials; `worker_id` is the agent that used its key last.
+
+    `twin` is the kind of twin, in words, on which that agent plays; NULL for hardware.
+    """
 
     __tablename__ = "stations"
     name: Mapped[str] = mapped_column(primary_key=True)
     key_sha256: Mapped[str] = mapped_column(unique=True)
     worker_id: Mapped[UUID | None]
+    twin: Mapped[str | None]
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
 
 

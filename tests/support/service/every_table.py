@@ -127,7 +127,7 @@ def fill_every_table(session: Session, submission: Submission, evaluation: Evalu
                 evaluation_id=evaluation.id, state=WorkState.FAILED, problem=TEXT,
                 owner="team:9", requires="1 tactile", priority=1,
             ),
-            Station(name="station-1", key_sha256="6" * 64, worker_id=None),
+            Station(name="station-1", key_sha256="6" * 64, worker_id=None, twin=TEXT),
             Webhook(team_id=team_id, address="https://hook.example.org/", secret="5" * 64),
             Worker(
                 host="gone", pid=1, slots=1, state=WorkerState.STOPPED, evaluator_version="1", platform_class="x",

@@ -27,7 +27,7 @@ from vitac.server.competitions.competition import Competition
 from vitac.server.competitions.definition import CompetitionDefinition
 from vitac.server.competitions.stages import Stage
 from vitac.server.database.models import SubmissionFile
-from vitac.server.database.states import FileRole
+from vitac.server.database.states import OPEN_WORK_STATES, FileRole
 from vitac.server.decisions.trial_plan import begin, planned_trials
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import creation
@@ -75,7 +75,7 @@ def stage_of(site: SeededSite) -> Iterator[tuple[Session, Stage]]:
         yield session, Competition.read(session).stage(STATION, FIRST)
 
 
-def record_of(outcome: EpisodeOutcome) -> Any:
+def record_of(outcome: EpisodeOutcome, twin: str | None = None) -> Any:
     def record(episode: int, *, task: str) -> EpisodeRecord:
         video = TrialVideo(code="0123456789ABCDEF", frames=9, link="a" * 64, sha256=DIGEST, n_bytes=len(VIDEO))
         pause = HumanHelp(kind=HelpKind.PAUSE, at_s=-2.0, length_s=31.0, note="<b>cable</b>")
@@ -87,20 +87,20 @@ def record_of(outcome: EpisodeOutcome) -> Any:
             task=task,
             shape="cuboid",
             infos=({**measured, "video": {"frame": 4, "link": "b" * 64}}, {}),
-            evidence=TrialEvidence(station="twin", video=video, help=(pause,)),
+            evidence=TrialEvidence(station="lab", twin=twin, video=video, help=(pause,)),
         )
 
     return record
 
 
-def play(site: SeededSite, *, first_blocks: int = STARTS) -> None:
-    """Ants solve every start, the others none; at each station as the plan says."""
+def play(site: SeededSite, *, first_blocks: int = STARTS, twin: str | None = None) -> None:
+    """Ants solve every start, the others none; at each station, or its twin, as the plan says."""
     with stage_of(site) as (session, stage):
         trials = planned_trials(session, stage)[: first_blocks * len(TEAMS)]
-        for trial in trials:
+        for trial in (each for each in trials if each.state in OPEN_WORK_STATES):
             solved = trial.evaluation.submission.team.name == "Ants"
             outcome = EpisodeOutcome.SUCCESS if solved else EpisodeOutcome.TACTILE
-            play_within(session, trial.id, record_of(outcome))
+            play_within(session, trial.id, record_of(outcome, twin))
             of_trial = {"submission_id": trial.evaluation.submission_id, "role": FileRole.VIDEO, "sha256": DIGEST}
             if session.get(SubmissionFile, tuple(of_trial.values())) is None:
                 session.add(SubmissionFile(**of_trial, n_bytes=len(VIDEO), name="trial.mjpeg", facts={}))

@@ -8,14 +8,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from vitac.envs.geometry.pegs import PegShape
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
 from vitac.evaluator.episodes.reading import make_reading
-from vitac.evaluator.episodes.records import EpisodeOutcome
+from vitac.evaluator.episodes.records import EpisodeOutcome, TrialEvidence
 from vitac.evaluator.shards.order import AttemptSpent, ShardEnd, ShardOrder
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Episode, load_track
 from vitac.station import agent, trials
 from vitac.station.agent import StationShard, StationShards, TrialNotPlayed, make_record
+from vitac.station.description import Procedure, StationDescription, TwinClass, TwinMark
 from vitac.station.devices.stage import DeviceNotFound, Pose
 from vitac.station.operators import Operator
 from vitac.station.outcome import ATTEMPTS, TrialOutcome
@@ -25,6 +27,13 @@ from vitac.station.trials import TrialPlayer
 
 TASK = load_track("track_1").tasks["peg-insertion"]
 EPISODE = Episode(number=7, shape="cuboid", offset=(1.0, 2.0, 3.0), offset_option="offset_mm_deg", list_seed=0)
+
+
+LAB = StationDescription.model_construct(
+    name="lab",
+    twin=TwinMark(twin_class=TwinClass.B, without=("mesh",)),
+    procedure=Procedure.model_construct(shape=PegShape.CUBOID),
+)
 
 
 class Laboratory:
@@ -104,15 +113,16 @@ def test_record_of_a_trial_has_what_was_measured_and_nothing_where_the_motion_wa
     attempt = Attempt(
         outcome=TrialOutcome.TACTILE, actions=actions, encoders=poses, movement_px=[(0.1, 0.2), (3.0, 4.0)]
     )
-    record = make_record(TASK, EPISODE, attempt, "lab")
+    record = make_record(TASK, EPISODE, attempt, LAB)
     assert (record.outcome, record.env_steps, record.initial_offset) == (EpisodeOutcome.TACTILE, 2, (1.0, 2.0, 3.0))
     assert record.infos == ({"encoders": [0.5, 1.5, -40.2, 2.0], "movement_px": [3.0, 4.0]}, {})
     assert len(set(record.state_hashes)) == 3
+    assert record.evidence == TrialEvidence(station="lab", twin="a twin of class B without mesh, no hardware")
 
 
 def test_failure_of_a_policy_is_in_its_record() -> None:
     failed = PolicyFailed(VerdictCode.NON_FINITE_ACTION, "The action holds NaN.")
-    record = make_record(TASK, EPISODE, Attempt(outcome=TrialOutcome.POLICY_FAILED, failure=failed), "lab")
+    record = make_record(TASK, EPISODE, Attempt(outcome=TrialOutcome.POLICY_FAILED, failure=failed), LAB)
     assert record.failure is not None
     assert (record.failure.code, record.env_steps) == (VerdictCode.NON_FINITE_ACTION, 0)
 
@@ -123,7 +133,7 @@ class Attempts:
     def __init__(self, *outcomes: TrialOutcome, by_force: bool = False) -> None:
         self.outcomes, self.played, self.stopped = list(outcomes), list[int](), list[str]()
         self.by_force, self.was_stopped = by_force, list[bool]()
-        self.description = SimpleNamespace(name="lab", procedure=SimpleNamespace(shape="cuboid"))
+        self.description = LAB
         self.stop = self.stopped.append
         self.operator = Operator(asks=False)
 

@@ -28,7 +28,7 @@ from ...plots.dates import DatedRate, ranks_by_date, rates_by_date
 from ...plots.delays import success_by_delay
 from ...plots.files import find_plot_file
 from ...plots.shake_up import draw_shake_up
-from ...rendering import Same, steps, words
+from ...rendering import Same, describe_twins, steps, words
 from ...site import Site, Viewer, get_principal, get_site, get_viewer, page
 from ..addresses import AskedBoard, board_address
 from .paging import BoardPage, board_page
@@ -116,6 +116,7 @@ async def leaderboard(request: Request) -> Response:
         delay_plots=delays,
         list_kind=board.list_kind.value,
         ranked=sum(entry.rank is not None for entry in board.entries),
+        twins=describe_twins(score for entry in board.entries for score in entry.scores),
         episodes=sum(len(definition.episodes) for definition in counted),
         **values,
     )

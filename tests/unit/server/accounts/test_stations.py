@@ -8,9 +8,11 @@ from uuid import UUID, uuid4
 
 import pytest
 from service_factories import make_settings
+from sqlalchemy import select
 from submission_steps import make_worker
 from vitac.server.accounts import stations
 from vitac.server.database.engine import Database
+from vitac.server.database.models import LivePicture
 from vitac.server.database.states import WorkerState
 from vitac.server.errors import ServiceError
 from vitac.server.principals import CONSOLE
@@ -31,9 +33,9 @@ def agent(database: Database, **changes: Any) -> UUID:
     return worker_id
 
 
-def enrol(database: Database, key: str, worker_id: UUID) -> str:
+def enrol(database: Database, key: str, worker_id: UUID, twin: str | None = None) -> str:
     with database.transaction() as session:
-        return stations.enrol(session, make_settings(), key, worker_id)
+        return stations.enrol(session, make_settings(), key, worker_id, twin)
 
 
 def test_agent_with_the_key_of_a_station_plays_for_it(database: Database, key: str) -> None:
@@ -42,6 +44,21 @@ def test_agent_with_the_key_of_a_station_plays_for_it(database: Database, key: s
     assert enrol(database, key, worker_id) == "lab"
     with database.transaction() as session:
         assert [(each.name, each.worker_id) for each in stations.list_stations(session)] == [("lab", worker_id)]
+
+
+def test_station_is_what_its_present_agent_plays_on_and_shows_no_picture_from_before(
+    database: Database, key: str
+) -> None:
+    twin, worker_id = "a twin of class A, no hardware", agent(database)
+    enrol(database, key, worker_id, twin)
+    with database.transaction() as session:
+        names = {"competition": "cup", "track": "t", "stage": "s"}
+        session.add(LivePicture(station="lab", picture=b"of a twin", **names))
+    for present, pictures in ((twin, 1), (None, 0)):
+        enrol(database, key, worker_id, present)
+        with database.transaction() as session:
+            assert [each.twin for each in stations.list_stations(session)] == [present]
+            assert len(session.scalars(select(LivePicture)).all()) == pictures
 
 
 def test_second_agent_with_the_same_key_is_refused(database: Database, key: str) -> None:

@@ -7,17 +7,18 @@ import pytest
 from seeded_site import SeededSite
 from service_factories import play_within
 from sqlalchemy import select
-from station_final import ADDRESS, DIGEST, PLAYED, STARTS, TEAMS, VIDEO, hold_final, play, record_of, stage_of
+from station_final import ADDRESS, DIGEST, PLAYED, STARTS, STATION, TEAMS, VIDEO, hold_final, play, record_of, stage_of
 from vitac.evaluator.episodes.records import (
     EpisodeOutcome,
 )
 from vitac.server.database.clock import read_clock
-from vitac.server.database.models import LivePicture, Submission, Trial
+from vitac.server.database.models import LivePicture, Station, Submission, Trial
+from vitac.server.decisions import trial_plan
 from vitac.server.decisions.live_trials import store_picture
 from vitac.server.decisions.trial_plan import planned_trials
 from vitac.server.decisions.trial_results import summarize
 from vitac.server.evaluations.lifecycle import cancel
-from vitac.server.principals import VISITOR, Principal
+from vitac.server.principals import CONSOLE, VISITOR, Principal
 from vitac.server.queue.work import find_station
 
 
@@ -51,6 +52,48 @@ def test_teams_see_their_own_places_and_trials_and_nobody_those_of_others(
         for browser in (ants, visitor):
             assert browser.get(path).status_code == (404 if browser is ants else 303)
     assert visitor.get(f"/api/v1{addresses['Ants']}").status_code in {401, 404}
+
+
+def test_every_page_says_of_a_twin_that_it_is_one_and_of_results_what_they_were_played_on(
+    site: SeededSite, final: dict[str, Principal]
+) -> None:
+    twin, other = "a twin of class B, no hardware", "a twin of class A, no hardware"
+    play(site, first_blocks=1, twin=twin)
+    with site.database.transaction() as session:
+        session.get_one(Station, "east").twin = other
+    with stage_of(site) as (session, stage):
+        trials = planned_trials(session, stage)
+        at = [find_station(trial.requires) for trial in trials]
+        ants = next(trial for trial in trials if trial.evaluation.submission.team.name == "Ants")
+        submission = f"/submissions/{ants.evaluation.submission_id}"
+        views = trial_plan.list_trials(session, CONSOLE, stage)
+    assert [each.twin for each in views] == [twin] * len(TEAMS) + [
+        other if station == "east" else None for station in at[len(TEAMS) :]
+    ]
+    browser = site.team_visitor("Ants")
+    page = browser.get(ADDRESS).text
+    assert f"<figcaption>Station east: {other}</figcaption>" in page
+    assert "<figcaption>Station west</figcaption>" in page
+    assert f'<span class="sub">{twin}</span>' in page
+    assert f"({twin}), from cuboid" in browser.get(f"{submission}/trials/{PLAYED}/{ants.episodes[0]}").text
+    play(site)
+    with stage_of(site) as (session, stage):
+        results = summarize(session, VISITOR, stage)
+    assert results is not None
+    assert [(each.station, each.twin, each.episodes) for each in results.stations] == [
+        (station, kind, count)
+        for station in ("east", "west")
+        for kind, count in (
+            (None, at[len(TEAMS) :].count(station)),
+            (twin, at[: len(TEAMS)].count(station)),
+        )
+        if count
+    ]
+    sentence = f"Played on twins: 1 of {STARTS} trials on {twin}."
+    assert sentence in browser.get(submission).text
+    assert sentence in browser.get(f"/compare?id={ants.evaluation.submission_id}").text
+    board = site.visitor().get(f"/competitions/cup/tracks/{STATION}").text
+    assert f"Played on twins: {len(TEAMS)} of {len(TEAMS) * STARTS} trials on {twin}." in board
 
 
 def test_video_of_a_trial_is_handed_to_its_team_as_it_was_stored(
