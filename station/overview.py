@@ -6,6 +6,7 @@ The code is a QR code in a picture, which any program for pictures shows on that
 from contextlib import suppress
 from pathlib import Path
 from threading import Event, Thread
+from time import monotonic
 from typing import Final, Self
 
 import numpy as np
@@ -17,6 +18,7 @@ from .guard import Guard, StopCause
 
 _MODULE_PX: Final = 8
 _QUIET_PX: Final = 32
+_SEEN_WITHIN_S, _LOOK_S = 5.0, 0.05
 
 
 class Overview:
@@ -40,9 +42,13 @@ class Overview:
         self._camera.__exit__()
 
     def show_code(self, code: str) -> None:
-        """Write the picture with a code for the screen."""
-        if self._settings.code_picture is not None:
-            write_code(code, self._settings.code_picture)
+        """Write the picture with a code for the screen, and wait a while until the camera sees it there."""
+        if self._settings.code_picture is None:
+            return
+        write_code(code, self._settings.code_picture)
+        end_s = monotonic() + _SEEN_WITHIN_S
+        while (self.latest is None or read_code(self.latest) != code) and monotonic() < end_s:
+            self._over.wait(_LOOK_S)
 
     def _look(self) -> None:
         while not self._over.is_set():

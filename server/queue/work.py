@@ -65,6 +65,11 @@ _CLAIM = text("""
                 WHERE beside.state = 'running' AND beside.kind = 'shard' AND beside.owner = waiting.owner
                     AND (beside.requires LIKE '% sealed') <> (waiting.requires LIKE '% sealed')
             ))
+            AND NOT (kind = 'trial' AND waiting.requires LIKE '% at %' AND EXISTS (
+                SELECT FROM work before
+                WHERE before.state IN ('queued', 'running') AND before.kind = 'trial'
+                    AND before.requires = waiting.requires AND before.turn < waiting.turn
+            ))
         ORDER BY priority, token = 0, turn, id
         LIMIT 1 FOR UPDATE SKIP LOCKED
     )

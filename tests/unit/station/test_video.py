@@ -4,7 +4,7 @@ import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from vitac.cli.station import app
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord, TrialEvidence, TrialVideo
 from vitac.evaluator.logs.log import LogHeader, write_log
 from vitac.station import video
-from vitac.station.overview import read_code, write_code
+from vitac.station.overview import Overview, read_code, write_code
 from vitac.station.verification import verify_video
 from vitac.station.video import StoredFrame, VideoRecorder, encode_frame, find_first_link, read_frames
 
@@ -202,3 +202,19 @@ def test_command_compares_with_the_trial_of_the_log_that_has_the_code(
     assert "The log has no trial with the code FFFFFFFFFFFFFFFF: the video is of another one." in verify()[1]
     code, output = verify("--episode", "1")
     assert (code, "The video is of the trial with code" in output) == (1, True)
+
+
+def test_a_code_is_waited_for_until_the_camera_sees_it(tmp_path: Path) -> None:
+    file, overview = tmp_path / "code.png", Overview.__new__(Overview)  # without a camera
+    overview._settings = cast("Any", SimpleNamespace(code_picture=file))
+    overview._over, overview.latest = threading.Event(), None
+
+    def look() -> None:
+        overview.latest = video_picture(file)
+
+    camera = threading.Timer(0.3, look)
+    camera.start()
+    overview.show_code(CODE)
+    assert overview.latest is not None
+    assert read_code(overview.latest) == CODE
+    camera.join()
