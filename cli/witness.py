@@ -87,6 +87,7 @@ def serve(
 
     logs = list(map(VerifierKey.parse, log))
     witness, listener = _load(folder, name), bind(host, port)
+    listener.listen(CONNECTIONS)
     print(f"witness {witness.key}\nsigns at {format_address(listener)}/add-checkpoint", flush=True)
     configuration = uvicorn.Config(make_app(witness, logs), log_config=None, limit_concurrency=CONNECTIONS)
     uvicorn.Server(configuration).run(sockets=[listener])

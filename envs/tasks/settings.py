@@ -237,7 +237,7 @@ def with_contact_model(settings: SettingsT, name: str | None, *, has_own_gel: bo
     if name != ContactModel.ARENA_2:
         given = physics.contact.model
         raise SettingsError(
-            f"Argument 'contact_model' is {name!r}, but 'physics' was given with {given}; leave one out."
+            f"Argument 'contact_model' is {name!r}, but the task's physics, or those given, have {given}; leave it out."
         )
     poisson_ratio = physics.poisson_ratio if has_own_gel else SILICONE_POISSON_RATIO
     physics = replace(physics, contact=ArenaContactSettings(), poisson_ratio=poisson_ratio)

@@ -19,12 +19,14 @@ def test_a_log_asks_a_witness_that_listens(tmp_path: Path) -> None:
     command = [sys.executable, "-c", PROGRAM, "serve", "--log", str(LOG_KEY), "--port", "0", *folder]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        key, address = (process.stdout.readline() for _ in range(2))
-        asked = re.search(r"http://\S+", address)
-        assert asked is not None
-        signed = sign_checkpoint(KEY, size=9, root=make_tree([one.leaf_hash for one in make_entries(9)]).root())
-        answer = httpx.post(asked[0], content=f"old 0\n\n{signed}".encode())
-        process.terminate()
+        try:
+            key, address = (process.stdout.readline() for _ in range(2))
+            asked = re.search(r"http://\S+", address)
+            assert asked is not None
+            signed = sign_checkpoint(KEY, size=9, root=make_tree([one.leaf_hash for one in make_entries(9)]).root())
+            answer = httpx.post(asked[0], content=f"old 0\n\n{signed}".encode(), timeout=60)
+        finally:
+            process.terminate()
     assert (answer.status_code, answer.text.split()[1]) == (200, "ants.example/v")
     assert key.split()[1].startswith("ants.example/v+")
 
