@@ -7,7 +7,7 @@ Every reset draws its start as a training run does, from seed SEED on. Half of a
 at a bound, the others are anywhere; it is played to its end, or 20 env steps of lock opening. With `--intersections`
 the IPC Toolkit looks after every reset and every IPC step that follows whether bodies intersect, and states that are
 not finite are found. Resets and episodes of all tasks take turns in pieces of 25 seeds; after each the totals of its
-task are printed as a line of JSON. With `--store` finished pieces are lines of the file, and the same command goes on
+task are printed as a line of JSON. With `--store` finished pieces are lines of the file, and the same command continues
 from them after a kill. Several machines share the work by different `--first`. Exit code 1 where an IPC step is not
 solved, or a state is wrong.
 """

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from vitac.errors import VitacError
 from vitac.evaluator.agent.verdicts import PolicyFailed
-from vitac.evaluator.episodes.episode import EpisodePolicy, OpenSession
+from vitac.evaluator.episodes.episode import OpenSession, PlayingPolicy
 from vitac.evaluator.episodes.reading import Reading
 from vitac.evaluator.episodes.records import ContactForces, HelpKind, HumanHelp, TrialVideo
 from vitac.evaluator.episodes.traces import OVER_FORCE_N, count_over_force, summarize_force
@@ -264,7 +264,7 @@ class StationTrial:
         self._show("contact", sight)
         return arm.pose().z_mm
 
-    def _insert(self, policy: EpisodePolicy, contact_mm: float) -> TrialOutcome:
+    def _insert(self, policy: PlayingPolicy, contact_mm: float) -> TrialOutcome:
         """Play env steps until the trial has ended."""
         attempt, arm, offset = self._attempt, self._arm, self._start
         sight = self._look()

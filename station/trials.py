@@ -14,7 +14,7 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.geometry.bases import HEXAGON_HOLE_Y_MM
-from vitac.evaluator.episodes.episode import EpisodePolicy, OpenSession
+from vitac.evaluator.episodes.episode import OpenSession, PlayingPolicy
 from vitac.evaluator.episodes.reading import Reading
 from vitac.evaluator.tracks import Episode, Task
 
@@ -56,7 +56,7 @@ class FusionTrial(StationTrial):
         self._arm.go(self._arm.place(self._start, self._arm.height_mm(self._start_mm)))
         return self._start_mm
 
-    def _insert(self, policy: EpisodePolicy, start_mm: float) -> TrialOutcome:
+    def _insert(self, policy: PlayingPolicy, start_mm: float) -> TrialOutcome:
         attempt, arm, offset, height_mm = self._attempt, self._arm, self._start, start_mm
         sight = self._look()
         while len(attempt.actions) < self._task.max_steps:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.maniskill.env import compute_seed
 from vitac.evaluator.agent.session import PolicySession
-from vitac.evaluator.episodes.episode import EpisodePolicy, make_environment, run_episode
+from vitac.evaluator.episodes.episode import PlayingPolicy, make_environment, run_episode
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.evaluation.local import evaluate
 from vitac.evaluator.submission.sources import staged
@@ -52,7 +52,7 @@ class CountedSession:
 
     def __init__(self, session: PolicySession) -> None:
         self._session = session
-        self._playing: EpisodePolicy | None = None
+        self._playing: PlayingPolicy | None = None
         self._ended_s = 0.0
 
     def __getattr__(self, name: str) -> Any:
@@ -65,7 +65,7 @@ class CountedSession:
         return self._ended_s + (self._playing.cpu_s if self._playing else 0.0)
 
     @contextmanager
-    def episode(self, **arguments: Any) -> Iterator[EpisodePolicy]:
+    def episode(self, **arguments: Any) -> Iterator[PlayingPolicy]:
         """Give a fresh process of the policy, and count its time."""
         with self._session.episode(**arguments) as self._playing:
             yield self._playing

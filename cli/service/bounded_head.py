@@ -1,4 +1,4 @@
-"""The protocol of HTTP connections whose clients may be slow on purpose. Called by `web_server`."""
+"""The protocol of connections whose clients may be slow; workers load `web_server` beside it, but have no uvicorn."""
 
 import asyncio
 from typing import Any, Final

@@ -37,7 +37,7 @@ class Pace(StrEnum):
 class Moment:
     """The scene at one time; within an env step, observation and info are those before it.
 
-    Places are in the world, or with a fixed part that moves, as seen by one who rides on it, who sees it stand still.
+    Places are in the world or, where the fixed part moves, in a frame that moves with it.
 
     Attributes:
         env_step: number of the env step that ends at this moment or later; 0 after the reset.

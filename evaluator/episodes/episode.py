@@ -59,7 +59,7 @@ class Environment(Protocol):
         """Return the SHA-256 [hex] of the meshes and materials in use."""
 
 
-class EpisodePolicy(Protocol):
+class PlayingPolicy(Protocol):
     """A policy within one episode. Its times [s] are those of the episode so far."""
 
     @property
@@ -99,7 +99,7 @@ class Session(Protocol):
 
     def episode(
         self, *, task: str, action_shape: tuple[int, ...], clouds: Sequence[CloudSpec] = ()
-    ) -> AbstractContextManager[EpisodePolicy]:
+    ) -> AbstractContextManager[PlayingPolicy]:
         """Return a fresh process of the policy for one episode.
 
         Raises:
@@ -228,7 +228,7 @@ def _play_or_fail(
 
 
 def _play(
-    env: Environment, task: Task, policy: EpisodePolicy, observation: Observation, trace: _Trace, reading: Reading
+    env: Environment, task: Task, policy: PlayingPolicy, observation: Observation, trace: _Trace, reading: Reading
 ) -> None:
     while trace.outcome is None:
         if len(trace.actions) == task.max_steps:
@@ -247,7 +247,7 @@ def _play(
 
 
 @contextmanager
-def open_episode(session: Session, task: Task, reading: Reading) -> Iterator[EpisodePolicy]:
+def open_episode(session: Session, task: Task, reading: Reading) -> Iterator[PlayingPolicy]:
     """Give a fresh process of the policy that plays a task, with the task's delay.
 
     Raises:
@@ -257,7 +257,7 @@ def open_episode(session: Session, task: Task, reading: Reading) -> Iterator[Epi
         yield delayed(policy, task)
 
 
-def delayed(policy: EpisodePolicy, task: Task) -> EpisodePolicy:
+def delayed(policy: PlayingPolicy, task: Task) -> PlayingPolicy:
     """Return a policy as its task plays it: with its delay, if it has one."""
     return _LatePolicy(policy, task) if task.delay_steps else policy
 
@@ -268,7 +268,7 @@ class _LatePolicy:
     It is asked again with the observation after its action. So the same actions follow whatever the machine's speed.
     """
 
-    def __init__(self, policy: EpisodePolicy, task: Task) -> None:
+    def __init__(self, policy: PlayingPolicy, task: Task) -> None:
         self._policy = policy
         self._task = task
         self._env_step = 0

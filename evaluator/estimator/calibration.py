@@ -230,7 +230,7 @@ def _floats(values: Any) -> list[float]:
 
 
 class EstimatorPolicy:
-    """The estimator within one episode; attributes as `episodes.episode.EpisodePolicy` says."""
+    """The estimator within one episode; attributes as `episodes.episode.PlayingPolicy` says."""
 
     channel_s = 0.0
     answers_s: tuple[float, ...] = ()

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import NonNegativeInt
 
 from ..agent.verdicts import PolicyFailed
-from ..episodes.episode import Environment, EpisodePolicy, OpenSession, Session, open_episode, public_part
+from ..episodes.episode import Environment, OpenSession, PlayingPolicy, Session, open_episode, public_part
 from ..episodes.reading import Reading, make_reading
 from ..episodes.records import ActionSequence, EpisodeRecord
 from ..strict_model import StrictModel
@@ -122,7 +122,7 @@ def _match_episode(
 
 
 def _comparisons(
-    env: Environment, task: Task, recording: Recording, policy: EpisodePolicy, reading: Reading
+    env: Environment, task: Task, recording: Recording, policy: PlayingPolicy, reading: Reading
 ) -> Iterator[bool]:
     observation, _ = env.reset(options=recording.episode.options)
     for action in recording.actions:

@@ -169,7 +169,7 @@ class _Replay:
         held: HeldPeg | None = None
         shown, zero = [], np.zeros(6)
         for number, sample in enumerate(self._samples):
-            if sample.probe in (ProbeKind.GRASP, ProbeKind.LIGHT_GRASP):
+            if sample.probe in _GRASPS:
                 factor = LIGHT_FORCE / GRIP_FORCE if sample.probe is ProbeKind.LIGHT_GRASP else 1.0
                 first = next((each for each in self._samples[number:] if each.probe is ProbeKind.AIR), sample)
                 at = in_world(first.axes, self._hole, hidden)
@@ -180,7 +180,7 @@ class _Replay:
             if sample.probe is ProbeKind.AIR:
                 stage[2].follow(linear[2] + _LIFT_MM)  # from above
             x_mm, y_mm, z_mm = (axis.follow(each) for axis, each in zip(stage, linear, strict=True))
-            if sample.probe not in (ProbeKind.GRASP, ProbeKind.LIGHT_GRASP):
+            if sample.probe not in _GRASPS:
                 axes = in_world((x_mm, y_mm, z_mm, rotation_deg), self._hole, hidden)
                 if sample.probe is ProbeKind.AIR:
                     highest_mm = max(axes[2] + _LIFT_MM, held.axes[2])
@@ -244,7 +244,7 @@ def _left_over(replay: _Replay, z: FloatArray) -> FloatArray:
     return np.concatenate([(replay.observed - replay.predict(z)) / replay.noise, -z])
 
 
-def _fit_at(replay: _Replay, z: FloatArray) -> _Fit:
+def _evaluate_fit(replay: _Replay, z: FloatArray) -> _Fit:
     """Return the fit at some numbers, with slopes by differences."""
     left = _left_over(replay, z)
     slopes = [(_left_over(replay, z + move) - left) / _STEP for move in _STEP * np.eye(len(z))]
@@ -256,7 +256,7 @@ def _improve(replay: _Replay, z: FloatArray, show: Callable[[int, float], None] 
 
     Between these the slopes are corrected by what each try has shown (Broyden).
     """
-    fit = _fit_at(replay, z)
+    fit = _evaluate_fit(replay, z)
     damping, weak, is_exact = _DAMPING, 0, True
     for number in range(_TRIES):
         curvature, fall = fit.normal_equations()
@@ -273,8 +273,8 @@ def _improve(replay: _Replay, z: FloatArray, show: Callable[[int, float], None] 
         if weak == _WEAK:
             if is_exact:
                 break
-            fit, damping, weak, is_exact = _fit_at(replay, fit.z), _DAMPING, 0, True
-    return fit if is_exact else _fit_at(replay, fit.z)
+            fit, damping, weak, is_exact = _evaluate_fit(replay, fit.z), _DAMPING, 0, True
+    return fit if is_exact else _evaluate_fit(replay, fit.z)
 
 
 def fit_mechanics(

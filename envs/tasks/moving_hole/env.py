@@ -21,10 +21,10 @@ MOTION, DIRECTION, START = "plate_motion", "plate_direction_deg", "plate_start_s
 class MovingHoleEnv(PegInsertionEnv):
     """Insert a peg into the hole of a plate that begins to move, by touch alone.
 
-    As `ViTac/PegInsertion-v1`, from which it differs so: some time after the reset, which the policy is not told, the
-    plate begins to move in a direction that it is not told either: at a constant speed, to and fro, or as a conveyor
-    that runs and stops. It drags at the peg that is pressed on it. Every env step takes the same time, 0.4 s, in which
-    the gripper moves in the world as the action says and 0.08 mm down, all together. Contacts are those of `arena-2`.
+    As `ViTac/PegInsertion-v1`, but some time after the reset the plate begins to move: at a constant speed, to and fro,
+    or as a conveyor that runs and stops. The policy observes neither that time nor the direction. The plate drags at
+    the peg that is pressed on it. Every env step takes the same time, 0.4 s, in which the gripper moves in the world as
+    the action says and 0.08 mm down, all together. Contacts are those of `arena-2`.
 
     Reset options: `shape`, `offset_mm_deg` and `rng_seed` as there, `plate_motion` ("constant", "sine", "conveyor"),
     `plate_direction_deg` (from x towards y), and `plate_start_s`, of which 0.4 is the reset's end. What is left open
@@ -98,7 +98,7 @@ def choose_path(
 
 
 def to_where_the_hole_will_be(_: Observation, info: Info) -> ActionArray:
-    """Take the offset away that is left if the gripper stands still while the plate moves."""
+    """Take the offset away that is left if the gripper rests while the plate moves."""
     offset_mm_deg = info["gt_offset_mm_deg"].copy()
     offset_mm_deg[:2] -= info["plate_step_mm"]
     return longest_action(np.array(way_to_the_hole(offset_mm_deg.tolist())), np.array(TASK.action_scale))

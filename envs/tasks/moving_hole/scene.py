@@ -5,20 +5,18 @@ from enum import StrEnum
 from math import pi, radians
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...assets import Meshes
 from ...deterministic_math import sine_cosine
 from ...fem.model.mesh import RigidBody, SurfaceMesh
 from ...fem.model.settings import ArenaContactSettings
 from ...scene.grasped_scene import Clocks, PhysicsSettings
+from ...scene.perspective import FloatArray
 from ..insertion.interface import PegOffset
 from ..peg_insertion.scene import PegInsertionSettings, PegScene, PegStart
 from ..quantities import check_quantities
 from ..settings import SILICONE_POISSON_RATIO, require
 from .definition import PLATE_SPEED
-
-FloatArray = NDArray[np.float64]
 
 EARLIEST_START_S = 0.4
 """When the reset of the default settings has ended."""

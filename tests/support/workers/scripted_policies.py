@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from vitac.evaluator.agent.protocol.frames import CloudSpec
 from vitac.evaluator.agent.session import Isolation
-from vitac.evaluator.episodes.episode import EpisodePolicy
+from vitac.evaluator.episodes.episode import PlayingPolicy
 from vitac.evaluator.episodes.reading import Observation
 
 Act = Callable[[Observation, int], NDArray[np.float32]]
@@ -30,7 +30,7 @@ class Scripted:
     @contextmanager
     def episode(
         self, *, task: str, action_shape: tuple[int, ...], clouds: Sequence[CloudSpec] = ()
-    ) -> Iterator[EpisodePolicy]:
+    ) -> Iterator[PlayingPolicy]:
         assert (task, action_shape, clouds) == ("peg-insertion", (3,), ())
         yield self
 

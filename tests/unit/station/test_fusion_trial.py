@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from vitac.evaluator.agent.protocol.frames import CloudSpec
 from vitac.evaluator.agent.session import Isolation
-from vitac.evaluator.episodes.episode import EpisodePolicy
+from vitac.evaluator.episodes.episode import PlayingPolicy
 from vitac.evaluator.episodes.reading import Observation, make_reading
 from vitac.evaluator.strict_model import validate
 from vitac.evaluator.tracks import Episode, load_track
@@ -47,7 +47,7 @@ class Guided:
     @contextmanager
     def episode(
         self, *, task: str, action_shape: tuple[int, ...], clouds: Sequence[CloudSpec] = ()
-    ) -> Iterator[EpisodePolicy]:
+    ) -> Iterator[PlayingPolicy]:
         assert (task, action_shape, clouds) == ("fusion-insertion", (4,), ())
         yield self
 
