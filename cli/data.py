@@ -48,7 +48,7 @@ def collect(
     rows = []
     for task in tasks or list_tasks():
         remedy = f"run the same command to continue from {out}"
-        with stopped_by_signals(remedy), compiling_shown(), _Counter() as counter:
+        with stopped_by_signals(remedy), compiling_shown(), EpisodeCounter() as counter:
             report = partial(counter.show_collected, task, successes)
             path = collect_task(
                 task, out, successes=successes, policy=policy, seed=seed, processes=processes, ray=ray, report=report
@@ -92,7 +92,7 @@ def export(
     for file in files:
         folder = to if is_one else to / file.parent.name
         remedy = f"{folder} was not written; run the same command again"
-        with stopped_by_signals(remedy), compiling_shown(), _Counter() as counter:
+        with stopped_by_signals(remedy), compiling_shown(), EpisodeCounter() as counter:
             export_task(
                 file,
                 folder,
@@ -138,7 +138,7 @@ def check(
     replayed = 0
     if not faults and (replay or is_collection):
         source, demonstrations = read_folder(folder)
-        with _Counter() as counter:
+        with EpisodeCounter() as counter:
             report = partial(counter.show_played, folder)
             replayed = replay_some(source, demonstrations, count=replay, processes=processes, report=report)
     if as_json:
@@ -159,10 +159,10 @@ def card(
     print(make_card_of(folder))
 
 
-class _Counter:
+class EpisodeCounter:
     """A line on a terminal that says how far a command is."""
 
-    def __enter__(self) -> "_Counter":
+    def __enter__(self) -> "EpisodeCounter":
         return self
 
     def show_collected(self, task: str, wanted: int, episodes: int, successes: int) -> None:

@@ -17,6 +17,7 @@ FURTHER: Mapping[tuple[str, str], Callable[..., Any]] = {
     ("competition", "check"): competition.check,
     ("competition", "apply"): competition.apply,
     ("results", "publish"): files.publish,
+    ("baseline", "publish"): files.publish_baseline,
     ("receipt", "export"): files.export,
     ("submission", "download"): files.download,
     ("token", "add"): files.add_token,

@@ -1,10 +1,11 @@
-"""Verbs of `vitac admin` that write files: results, an export of receipts; and `token add`, whose role is an option."""
+"""Verbs of `vitac admin` that read or write files; and `token add`, whose role is an option."""
 
 from __future__ import annotations
 
 import io
 import sys
 import zipfile
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,13 +13,18 @@ import typer
 from vitac.errors import VitacError
 
 from ..client.verbs import NOTHING_CHANGED, DryRun, Yes, print_fields
-from ..terminal.output import AsJson, TokenFile, print_json, print_record
+from ..terminal.output import AsJson, Processes, TokenFile, existing, print_json, print_record
 from .door import Server, open_door
 
+HUMAN_BASELINE = "PUT /tracks/{track}/tasks/{task}/human-baseline"
 STAGE_SUBMISSIONS = "GET /competitions/{competition}/tracks/{track}/stages/{stage}/submissions"
 CompetitionName = Annotated[
     str | None, typer.Option("--competition", help="Name of the competition; needed where there are several.")
 ]
+
+
+class NothingByTouch(VitacError):
+    """A folder of demonstrations has no episode that a person played by marker flow alone."""
 
 
 class FileNotWritten(VitacError):
@@ -101,6 +107,46 @@ def export(
         found = export.description
     content = {"file": str(file), "entries": len(found.board.entries), "public_key": found.public_key}
     print_record(content, as_json=as_json)
+
+
+def publish_baseline(
+    context: typer.Context,
+    folder: Annotated[Path, typer.Argument(callback=existing, help="Folder of a task that `vitac play` has made.")],
+    dry_run: DryRun = False,
+    yes: Yes = False,  # noqa: ARG001 - nobody is asked
+    processes: Processes = 1,
+    server: Server = None,
+    token_file: TokenFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show on a task's public boards what people solved by hand, in place of what was shown before.
+
+    All their episodes by marker flow alone count, and each is played again here first: what differs is refused.
+    """
+    from vitac.training.demonstrations.collecting import DemonstrationKind
+    from vitac.training.demonstrations.replaying import read_folder, replay
+
+    from ..data import EpisodeCounter
+
+    source, demonstrations = read_folder(folder)
+    felt = [each for each in demonstrations if each.kind is DemonstrationKind.HUMAN]
+    if not felt:
+        raise NothingByTouch(f"{folder} has no episode that was played by marker flow alone; play some: vitac play.")
+    with EpisodeCounter() as counter:
+        report = partial(counter.show_played, folder)
+        replay(source, felt, count=len(felt), processes=processes, report=report)
+    episodes = [
+        {"shape": each.shape, "is_solved": each.is_success, "env_steps": each.actions.shape[0]} for each in felt
+    ]
+    values = {"track": source.manifest.track, "task": source.manifest.task, "episodes": episodes}
+    with open_door(context, server, token_file) as door:
+        answer = door.call(HUMAN_BASELINE, values, dry_run=dry_run)
+    if dry_run:
+        print(NOTHING_CHANGED, file=sys.stderr)
+    if as_json:
+        print_json(answer)
+    else:
+        print_fields({name: answer[name] for name in ("name", "episodes", "successes", "success_rate_interval")})
 
 
 def _refuse_existing(file: Path) -> None:

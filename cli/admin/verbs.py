@@ -255,6 +255,18 @@ NOUNS: Mapping[str, AdminNoun] = {
             ),
         ],
     ),
+    "baseline": AdminNoun(
+        title="What people solve of a task by marker flow alone, beside the entries of its boards",
+        further=("publish",),
+        verbs=[
+            Verb(
+                "remove",
+                "DELETE /tracks/{track}/tasks/{task}/human-baseline",
+                asks="Show no longer what people solve of {task}?",
+                done="what people solve of {task} is no longer shown",
+            ),
+        ],
+    ),
     "receipt": AdminNoun(
         title="Receipts of final results",
         further=("export",),

@@ -253,6 +253,14 @@ CREATE TABLE entered_results (
     CONSTRAINT ck_entered_results_attempt_is_counted_from_1 CHECK (attempt >= 1),
     CONSTRAINT fk_entered_results_team_id FOREIGN KEY(team_id) REFERENCES teams (id) ON DELETE CASCADE
 );
+CREATE TABLE human_baselines (
+    track TEXT NOT NULL,
+    task TEXT NOT NULL,
+    episodes JSONB NOT NULL,
+    published_by TEXT NOT NULL,
+    published_at TIMESTAMP WITH TIME ZONE DEFAULT now() NOT NULL,
+    CONSTRAINT pk_human_baselines PRIMARY KEY (track, task)
+);
 CREATE TABLE judging_conflicts (
     team_id UUID NOT NULL,
     judge TEXT NOT NULL,
@@ -891,6 +899,8 @@ END $$;
 CREATE TRIGGER board_results_noted AFTER INSERT OR UPDATE OR DELETE OR TRUNCATE ON board_results
     EXECUTE FUNCTION note_board_change();
 CREATE TRIGGER log_copies_noted AFTER INSERT OR UPDATE OR DELETE OR TRUNCATE ON log_copies
+    EXECUTE FUNCTION note_board_change();
+CREATE TRIGGER human_baselines_noted AFTER INSERT OR UPDATE OR DELETE OR TRUNCATE ON human_baselines
     EXECUTE FUNCTION note_board_change();
 CREATE TRIGGER submissions_noted AFTER UPDATE OF team_id ON submissions EXECUTE FUNCTION note_board_change();
 CREATE TRIGGER teams_noted AFTER UPDATE OF name, named_at, disqualified_at OR DELETE ON teams

@@ -1,4 +1,4 @@
-"""Routes of stages that are judged or played elsewhere: briefs for a committee, and results that operators enter."""
+"""Routes of what people do by hand: briefs for a committee, results that operators enter, baselines."""
 
 import asyncio
 from collections.abc import AsyncIterator
@@ -12,13 +12,16 @@ from pydantic import Field
 from ..competitions.competition import Competition
 from ..decisions import briefs, entered_results
 from ..errors import ProblemCode, ServiceError
+from ..leaderboards import baselines
 from ..principals import Principal
 from ..services import Services
 from ..views.by_hand import BriefListView, BriefView, EnteredBoardView
+from ..views.leaderboards import BaselineView
 from .access import (
     ChangingServicesOf,
     CompetitionOrganizerOf,
     JudgeOf,
+    OrganizerOf,
     ServicesOf,
     SignedInOf,
     TeamOf,
@@ -29,6 +32,7 @@ from .problems import RESPONSES
 from .teams import ONE_LINE
 
 router = APIRouter(responses=RESPONSES)
+HUMAN_BASELINE = "/tracks/{track}/tasks/{task}/human-baseline"
 STAGE = "/competitions/{competition}/tracks/{track}/stages/{stage}"
 OneLine = Annotated[str, Field(min_length=1, max_length=500, pattern=ONE_LINE)]
 
@@ -38,6 +42,20 @@ class BriefDecision(Input):
 
     accepted: bool
     reason: OneLine
+
+
+class PlayedByHand(Input):
+    """An episode that a person played by marker flow alone."""
+
+    shape: OneLine
+    is_solved: bool
+    env_steps: int = Field(ge=1, le=100_000)
+
+
+class NewHumanBaseline(Input):
+    """All episodes of a task that people played by marker flow alone."""
+
+    episodes: list[PlayedByHand] = Field(min_length=1, max_length=10_000)
 
 
 class NewResult(Input):
@@ -143,3 +161,20 @@ def get_results(
     with services.database.reading() as session:
         found = Competition.find(session, competition).stage(track, stage)
         return entered_results.board(session, found, principal)
+
+
+@router.put(HUMAN_BASELINE, tags=["baselines"])
+def put_human_baseline(
+    services: ChangingServicesOf, principal: OrganizerOf, track: str, task: str, new: NewHumanBaseline
+) -> BaselineView:
+    """Show on boards what people solved of a task by marker flow alone, in place of what was shown before."""
+    episodes = [(one.shape, one.is_solved, one.env_steps) for one in new.episodes]
+    with services.database.transaction() as session:
+        return baselines.publish_human_baseline(session, principal, track, task, episodes)
+
+
+@router.delete(HUMAN_BASELINE, tags=["baselines"], status_code=HTTPStatus.NO_CONTENT)
+def delete_human_baseline(services: ChangingServicesOf, principal: OrganizerOf, track: str, task: str) -> None:
+    """Show no longer what people solved of a task."""
+    with services.database.transaction() as session:
+        baselines.remove_human_baseline(session, principal, track, task)

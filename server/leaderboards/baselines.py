@@ -1,17 +1,24 @@
-"""What our example submissions reach on public lists, which boards show beside their entries without a rank.
+"""What our example submissions and people reach, which boards of public lists show beside their entries without a rank.
 
-The figures are those of `benchmarks/baselines.md` and of the examples' own pages, which a test compares.
+The examples' figures are those of `benchmarks/baselines.md` and of their own pages, which a test compares. People's are
+published by an organizer, who has what they played.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean
-from typing import Any
+from typing import Any, TypeAlias
 
-from vitac.evaluator.scoring.score import Rate, interval_of_mean, rate_by_start
-from vitac.evaluator.tracks import Track
+from sqlalchemy.orm import Session
+from vitac.evaluator.scoring.score import Rate, interval_of_mean, rate, rate_by_start
+from vitac.evaluator.tracks import Task, Track
 
+from ..audit import record
+from ..database.models import HumanBaseline
+from ..errors import ProblemCode, ServiceError
 from ..evaluations.scores import bounds
+from ..principals import Principal
+from ..tracks import load_known_track, require_task
 from ..views.leaderboards import BaselineView
 from ..views.scores import ShapeScoreView, TaskRateView
 
@@ -81,18 +88,120 @@ _COMBINED = {"track_1_heuristic": ("peg_insertion_heuristic", "lock_opening_heur
 """Examples of all tasks of a track, and those of single tasks that they are copies of."""
 
 
-def list_baselines(track: Track, task: str | None) -> list[BaselineView]:
+HUMAN = "human, by marker flow alone"
+PlayedEpisode: TypeAlias = tuple[str, bool, int]
+"""Shape, whether it was solved, and its env steps."""
+
+
+def publish_human_baseline(
+    session: Session, by: Principal, track: str, task: str, episodes: Sequence[PlayedEpisode]
+) -> BaselineView:
+    """Store what people played of a task by marker flow alone, in place of what was published of it before.
+
+    Args:
+        session: of the transaction.
+        by: an organizer of the service.
+        track: of the task.
+        task: which one.
+        episodes: all that were played, each with a start of its own.
+
+    Raises:
+        ServiceError: not an organizer, no such task, or a shape that it does not have.
+    """
+    by.require_organizer()
+    definition = _find_task(track, task)
+    strange = {shape for shape, _, _ in episodes} - {*definition.episode_list.shapes}
+    if strange:
+        shapes = ", ".join(definition.episode_list.shapes)
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST, f"Expected shapes of {task} ({shapes}), got {', '.join(sorted(strange))}."
+        )
+    row = session.get(HumanBaseline, (track, task))
+    before = _summarize(row)
+    if row is None:
+        row = HumanBaseline(track=track, task=task)
+        session.add(row)
+    row.episodes, row.published_by = list(episodes), by.actor
+    session.flush()
+    record(session, by, "baseline.publish", f"task:{track}/{task}", _summarize(row) or {}, before=before)
+    return _human_view(row)
+
+
+def remove_human_baseline(session: Session, by: Principal, track: str, task: str) -> None:
+    """Remove what people played of a task.
+
+    Raises:
+        ServiceError: not an organizer, no such task, or nothing is published of it.
+    """
+    by.require_organizer()
+    _find_task(track, task)
+    row = session.get(HumanBaseline, (track, task))
+    if row is None:
+        raise ServiceError(ProblemCode.NOT_FOUND, f"No human baseline of {task} in {track} is published.")
+    record(session, by, "baseline.remove", f"task:{track}/{task}", {}, before=_summarize(row))
+    session.delete(row)
+
+
+def _find_task(track: str, task: str) -> Task:
+    known = load_known_track(track)
+    require_task(known, task)
+    return known.task(task)
+
+
+def _summarize(row: HumanBaseline | None) -> dict[str, int] | None:
+    if row is None:
+        return None
+    return {"episodes": len(row.episodes), "successes": sum(solved for _, solved, _ in row.episodes)}
+
+
+def list_baselines(session: Session, track: Track, task: str | None) -> list[BaselineView]:
     """Return the baselines of a board on the public list of its track, the best first.
 
     Args:
+        session: of the transaction.
         track: of the board.
         task: that it ranks; None: all tasks together.
     """
+    shown = task or (next(iter(track.tasks)) if len(track.tasks) == 1 else None)
+    human = session.get(HumanBaseline, (track.name, shown)) if shown else None
+    views = [*list_examples(track, task), *([_human_view(human)] if human else [])]
+    return sorted(views, key=lambda view: -view.success_rate)
+
+
+def list_examples(track: Track, task: str | None) -> list[BaselineView]:
+    """Return the baselines that are our example submissions."""
     if task is None and len(track.tasks) > 1:
         made = {name: [figures for figures in _FIGURES if figures.name in parts] for name, parts in _COMBINED.items()}
         return [_view(name, parts) for name, parts in made.items() if {part.track for part in parts} == {track.name}]
     shown = task or next(iter(track.tasks))
     return [_view(one.name, [one]) for one in _FIGURES if (one.track, one.task) == (track.name, shown)]
+
+
+def _human_view(row: HumanBaseline) -> BaselineView:
+    steps = [env_steps for _, solved, env_steps in row.episodes if solved]
+    mean_steps = fmean(steps) if steps else None
+    whole = _rate_of(row.episodes)
+    shapes = {shape: [one for one in row.episodes if one[0] == shape] for shape, _, _ in row.episodes}
+    score = TaskRateView(
+        task=row.task,
+        mean_steps=mean_steps,
+        shapes=[ShapeScoreView(shape=shape, **_columns(_rate_of(of_shape))) for shape, of_shape in shapes.items()],
+        **_columns(whole),
+    )
+    return BaselineView(
+        name=HUMAN,
+        is_human=True,
+        episodes=whole.episodes,
+        successes=whole.successes,
+        success_rate=whole.success_rate,
+        success_rate_interval=bounds(whole.interval),
+        mean_steps=mean_steps,
+        scores=[score],
+    )
+
+
+def _rate_of(episodes: Sequence[PlayedEpisode]) -> Rate:
+    return rate(sum(solved for _, solved, _ in episodes), len(episodes))
 
 
 def _view(name: str, parts: list[_Figures]) -> BaselineView:

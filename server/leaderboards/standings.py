@@ -28,7 +28,7 @@ from ..evaluations.scores import (
 )
 from ..principals import CONSOLE, VISITOR
 from ..tracks import is_reference, load_known_track, require_task
-from ..views.leaderboards import LeaderboardEntryView, LeaderboardView, LogEntryView
+from ..views.leaderboards import BaselineView, LeaderboardEntryView, LeaderboardView, LogEntryView
 from ..visibility import played_list_kind
 from .baselines import list_baselines
 from .best_entries import BestEntry, Board, best_entries
@@ -137,7 +137,14 @@ def leaderboard(
     names = f"{named_at} {shown_names.hidden and not live}"
     is_practice = list_kind is ListKind.PUBLIC and not stage.decides
     list_sentence = stage.list_sentence
-    revision = compute_revision(f"{board} {counted} {list_kind} {list_sentence} {is_practice} {names}", best)
+    baselines = (
+        kept_until_change(session, ("baselines", track.name, task), lambda: list_baselines(session, track, task))
+        if list_kind is ListKind.PUBLIC
+        else []
+    )
+    revision = compute_revision(
+        f"{board} {counted} {list_kind} {list_sentence} {is_practice} {names}", [*best, *baselines]
+    )
     shown = _Shown(
         board=board,
         list_kind=list_kind,
@@ -146,6 +153,7 @@ def leaderboard(
         is_reference=reference,
         rule=stage.describe_ranking(task),
         best=best,
+        baselines=baselines,
         counted=counted,
         names=shown_names,
         revision=revision,
@@ -164,6 +172,7 @@ class _Shown:
         is_practice: whether it decides nothing because its list is public.
         is_reference: whether it ranks nobody.
         rule: how it is ranked where the competition's file says it; empty where the track's does.
+        baselines: what it is compared with.
         counted: which results it is made of.
         names: under which teams are shown.
     """
@@ -175,6 +184,7 @@ class _Shown:
     is_reference: bool
     rule: str
     best: Collection[BestEntry]
+    baselines: list[BaselineView]
     counted: CountedResults
     names: ShownNames
     revision: str
@@ -208,7 +218,7 @@ def _view(session: Session, track: Track, shown: _Shown, last: LeaderboardView |
         generated_at=datetime.now(UTC),
         teams=len(entries),
         entries=entries,
-        baselines=list_baselines(track, task) if shown.list_kind is ListKind.PUBLIC else [],
+        baselines=shown.baselines,
     )
 
 

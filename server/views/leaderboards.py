@@ -61,14 +61,17 @@ class LeaderboardEntryView(RankedEntryView):
 
 
 class BaselineView(View):
-    """What one of our example submissions reaches on a public list; it has no rank."""
+    """What one of our example submissions reaches on a public list, or people by hand; it has no rank."""
 
-    name: str = Field(description="Its folder in `examples/`.")
+    name: str = Field(description="Its folder in `examples/`, or who played.")
+    is_human: bool = Field(
+        default=False, description="People played by marker flow alone, on starts drawn like those of the list."
+    )
     episodes: int
     successes: int
     success_rate: float
     success_rate_interval: tuple[float, float] = Field(description=INTERVAL)
-    mean_steps: float
+    mean_steps: float | None = Field(description="Of the successes; null without one.")
     scores: list[TaskRateView] = Field(description="In each task.")
 
 
@@ -108,7 +111,8 @@ class LeaderboardView(View):
     teams: int = Field(description="Number of all entries.")
     entries: list[LeaderboardEntryView]
     baselines: list[BaselineView] = Field(
-        default=[], description="For comparison, where it ranks a public list that our examples have played."
+        default=[],
+        description="For comparison, where it ranks a public list: our examples, and people who played by hand.",
     )
     next_after: int | None = Field(
         default=None, description="Give this as `after` for the next page; null on the last one."

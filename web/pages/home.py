@@ -94,7 +94,7 @@ def _front(session: Session, site: Site) -> FrontPage:
         has_past=len(shown) < len(listed),
         said=messages.list_announcements(session)[:ANNOUNCEMENTS],
         episode=newest_public_episode(session, site.services.settings),
-        challenge=_make_challenge(boards, several=len(cups) > 1),
+        challenge=_make_challenge(session, boards, several=len(cups) > 1),
     )
 
 
@@ -138,13 +138,13 @@ def _read_boards(session: Session, track: str, listed: Sequence[CompetitionSumma
     return boards
 
 
-def _make_challenge(boards: Mapping[str, Sequence[_Board]], *, several: bool) -> Challenge:
+def _make_challenge(session: Session, boards: Mapping[str, Sequence[_Board]], *, several: bool) -> Challenge:
     """Return what a visitor who plays by hand is compared with, on the first board that shows baselines."""
     track, _ = find_task(CHALLENGE)
     shown = next((one for one in boards.get(track.name, ()) if one.view.list_kind is ListKind.PUBLIC), None)
     if shown is None:
         return Challenge(task=CHALLENGE, baseline=None, address="")
-    best = list_baselines(track, CHALLENGE)[0]
+    best = list_baselines(session, track, CHALLENGE)[0]
     return Challenge(task=CHALLENGE, baseline=best, address=shown.address(several=several, task=CHALLENGE))
 
 

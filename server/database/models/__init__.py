@@ -5,7 +5,7 @@ Ids that people see are random UUIDs, times are UTC with zone, states are text u
 
 from .accounts import ApiToken, AuditEntry, Invitation, Member, Team, TeamQuota
 from .base import Base
-from .by_hand import Brief, EnteredResult
+from .by_hand import Brief, EnteredResult, HumanBaseline
 from .competition import CompetitionRow, Qualification, Rejudgement, SealedList
 from .evaluations import (
     ALL_TASKS,
@@ -53,6 +53,7 @@ __all__ = [
     "EpisodeResult",
     "Evaluation",
     "FreshList",
+    "HumanBaseline",
     "Invitation",
     "JudgingConflict",
     "JudgingMark",

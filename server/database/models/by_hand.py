@@ -1,4 +1,4 @@
-"""What people judge and enter of stages that are played elsewhere: briefs of teams, and results of attempts."""
+"""What people judge, enter and play by hand: briefs of teams, results of attempts, baselines of persons."""
 
 from datetime import datetime
 from typing import Any
@@ -58,3 +58,14 @@ class EnteredResult(Base):
     entered_by: Mapped[str]
     entered_at: Mapped[datetime] = mapped_column(server_default=func.now())
     team: Mapped[Team | None] = relationship()
+
+
+class HumanBaseline(Base):
+    """Episodes of a task that people played by marker flow alone, each `[shape, solved, env steps]`."""
+
+    __tablename__ = "human_baselines"
+    track: Mapped[str] = mapped_column(primary_key=True)
+    task: Mapped[str] = mapped_column(primary_key=True)
+    episodes: Mapped[list[tuple[str, bool, int]]] = mapped_column(JSONB)
+    published_by: Mapped[str]
+    published_at: Mapped[datetime] = mapped_column(server_default=func.now())

@@ -22,6 +22,7 @@ from vitac.server.database.models import (
     EpisodeResult,
     Evaluation,
     FreshList,
+    HumanBaseline,
     Invitation,
     JudgingConflict,
     JudgingMark,
@@ -103,6 +104,7 @@ def fill_every_table(session: Session, submission: Submission, evaluation: Evalu
                 competition="cup", track=track, stage=stage, baseline="ours", attempt=1, points={"tube": 1.5},
                 evidence=TEXT, entered_by="console",
             ),
+            HumanBaseline(track="gone", task="gone", episodes=[("cuboid", True, 4)], published_by="console"),
             DeclaredEvaluator(track="track_1", version="1+abc"),
             MetricTotal(name="vitac_episodes_total", labels="{}", value=0.1),
             Notice(

@@ -19,13 +19,17 @@ from vitac.cli.client.answers import RequestRefused
 from vitac.cli.client.verbs import NOTHING_CHANGED, ConsentMissing, find_operation, require_consent
 from vitac.server.accounts import teams
 from vitac.server.api.app import API_PREFIX, create_app
+from vitac.server.leaderboards.baselines import HUMAN
 from vitac.server.principals import CONSOLE, Audience
+from vitac.training.demonstrations.frames import DemonstrationDiffers
+from vitac.training.demonstrations.hand_play import HandPlay
 
 from competitions import make_competition, moved, open_now, put_in_place
 
 ORGANIZERS = {Audience.ORGANIZERS, Audience.COMPETITION_ORGANIZERS}
 BY_HAND = {
     competition.APPLY,
+    files.HUMAN_BASELINE,
     files.STAGE_SUBMISSIONS,
     "GET /competitions/{competition}/results",
     "GET /leaderboards/{track}/receipts",
@@ -128,3 +132,27 @@ def test_what_was_shown_is_done_or_nothing(played: CliService, monkeypatch: pyte
     assert NOTHING_CHANGED not in done.stderr
     (winner,) = json.loads(played.run("admin", "results", "winners", "--json").stdout)
     assert winner["team"] == "Bees"
+
+
+def test_what_people_solve_by_hand_is_played_again_and_published(service: CliService, tmp_path: Path) -> None:
+    played = HandPlay(TASK, tmp_path)
+    with played.storing() as path:
+        for looks in (False, True):
+            played.begin()
+            if looks:
+                played.scene_mm()
+            while played.end_reason is None:
+                played.step([0.0, 0.0, 0.0])
+    (felt, seen), folder = path.read_text().splitlines(keepends=True)[1:], str(path.parent)
+    assert service.run("admin", "baseline", "publish", folder, "--dry-run", "--json").exit_code == 0
+    published = json.loads(service.run("admin", "baseline", "publish", folder, "--json").stdout)
+    assert (published["name"], published["episodes"]) == (HUMAN, 1), "who has looked at the scene did not play by touch"
+    assert service.run("admin", "baseline", "remove", TRACK, TASK, "--yes").exit_code == 0
+    head = path.read_text().splitlines(keepends=True)[0]
+    path.write_text(head + seen)
+    refused = service.run("admin", "baseline", "publish", folder)
+    assert "no episode that was played by marker flow alone" in str(refused.exception)
+    hashes = json.loads(felt)["state_hashes"]
+    path.write_text(head + felt.replace(hashes[-1], hashes[0]))
+    refused = service.run("admin", "baseline", "publish", folder)
+    assert isinstance(refused.exception, DemonstrationDiffers)

@@ -43,6 +43,7 @@ from vitac.server.database.states import FileRole, NoticeChannel, NoticeKind, Ro
 from vitac.server.decisions.rejudging_comparison import compute_revision
 from vitac.server.evaluations.episode_store import EpisodeKey
 from vitac.server.evaluations.history import newest_evaluation
+from vitac.server.leaderboards.baselines import publish_human_baseline
 from vitac.server.principals import CONSOLE, Audience
 from vitac.server.submissions import appeals
 
@@ -86,6 +87,7 @@ OF_NO_COMPETITION = (
 
 SUBMISSION = "/api/v1/submissions/{submission_id}"
 UPLOAD = "/api/v1/uploads/{upload_id}"
+HUMAN_BASELINE = "/api/v1/tracks/{track}/tasks/{task}/human-baseline"
 STATION = "/api/v1/stations/{name}"
 TEAM = "/api/v1/teams/{team_id}"
 APPEAL = "/api/v1/appeals/{appeal_id}"
@@ -166,6 +168,9 @@ class Setting:
             "name": "lab" if path == STATION else "000.p/1",
             "quota": "tokens",
         }
+        if path == HUMAN_BASELINE:
+            ids["task"] = TASK
+            self.publish_human_baseline()
         if path.startswith((f"{STAGE}/briefs", f"{STAGE}/results")):
             ids |= {"track": "elsewhere", "stage": "brief" if "briefs" in path else "play"}
         if path == f"{SUBMISSION}/withdrawal" or (method, path) == ("delete", SUBMISSION):
@@ -259,6 +264,11 @@ class Setting:
         with self.service.database.transaction() as session:
             if not stations.list_stations(session):
                 stations.add_station(session, CONSOLE, "lab")
+
+    def publish_human_baseline(self) -> None:
+        """That of the task, in place of what a request before has left."""
+        with self.service.database.transaction() as session:
+            publish_human_baseline(session, CONSOLE, TRACK, TASK, [("cuboid", True, 4)])
 
     def new_team(self) -> str:
         """Id of a further team."""
@@ -370,6 +380,9 @@ BODIES: dict[tuple[str, str], Options] = {
         "params": {"competition": "cup", "track": "elsewhere_too", "stage": "brief"},
     },
     ("put", f"{STAGE}/briefs/{{team_id}}/decision"): lambda *_: {"json": {"accepted": True, "reason": "good"}},
+    ("put", HUMAN_BASELINE): lambda *_: {
+        "json": {"episodes": [{"shape": "cuboid", "is_solved": True, "env_steps": 4}]}
+    },
     ("put", f"{STAGE}/results"): lambda *_: {"json": {"baseline": "ours", "points": {"tube": 1}, "evidence": "a film"}},
     ("put", f"{COMPETITION}/definition"): lambda *_: {"json": {"definition": make_competition()}},
     ("put", f"{TEAM}/disqualification"): lambda *_: {"json": {"reason": "two accounts"}},

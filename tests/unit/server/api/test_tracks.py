@@ -1,10 +1,12 @@
 from pathlib import Path
+from typing import Any
 
 import pytest
 from service_client import Service, make_archive, problem_of
 from service_factories import LOCK, TASK, TRACK, RecordOf, play_all, successes_below
 from vitac.evaluator.tracks import registry
 from vitac.server.database.models import Submission
+from vitac.server.leaderboards.baselines import HUMAN
 
 
 def evaluated(service: Service, token: str, policy: str, record_of: RecordOf) -> str:
@@ -98,3 +100,34 @@ def test_leaderboard_that_a_client_has_is_not_sent_again_until_it_changes(servic
     evaluated(service, service.token, "x = 3", successes_below(101))
     changed = service.client.get(address, headers={"If-None-Match": first.headers["etag"]})
     assert (changed.status_code, changed.json()["entries"][0]["successes"]) == (200, 100)
+
+
+def test_what_people_solve_by_hand_stands_beside_a_boards_entries_until_it_is_removed(service: Service) -> None:
+    address, board = f"/api/v1/tracks/{TRACK}/tasks/{TASK}/human-baseline", f"/api/v1/leaderboards/{TRACK}?task={TASK}"
+    organizer = {"Authorization": f"Bearer {service.organizer_token}"}
+
+    def publish(*episodes: tuple[str, bool, int]) -> Any:
+        listed = [{"shape": shape, "is_solved": solved, "env_steps": steps} for shape, solved, steps in episodes]
+        return service.client.put(address, json={"episodes": listed}, headers=organizer)
+
+    def shown() -> list[tuple[str, int, int, float | None]]:
+        rows = service.client.get(board).json()["baselines"]
+        return [(one["name"], one["successes"], one["episodes"], one["mean_steps"]) for one in rows if one["is_human"]]
+
+    assert shown() == []
+    revision = service.client.get(board).json()["revision"]
+    assert publish(("cuboid", False, 5)).json()["mean_steps"] is None
+    assert shown() == [(HUMAN, 0, 1, None)]
+    assert service.client.get(board).json()["revision"] != revision
+    publish(("cuboid", True, 4), ("cuboid", False, 12), ("concave1", True, 6))
+    assert shown() == [(HUMAN, 2, 3, 5.0)]
+    trained, human, heuristic = service.client.get(board).json()["baselines"]
+    assert [one["is_human"] for one in (trained, human, heuristic)] == [False, True, False]
+    low, high = human["success_rate_interval"]
+    assert low < 2 / 3 < high
+    problem_of(publish(("cube", True, 4)), 422, "invalid_request")
+    problem_of(publish(), 422, "invalid_request")
+    assert shown() == [(HUMAN, 2, 3, 5.0)]
+    assert service.client.delete(address, headers=organizer).status_code == 204
+    assert shown() == []
+    problem_of(service.client.delete(address, headers=organizer), 404, "not_found")

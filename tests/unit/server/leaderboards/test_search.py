@@ -4,7 +4,7 @@ import pytest
 from page_fixtures import a_leaderboard, a_score, an_entry, some_log_boards
 from vitac.evaluator.tracks import load_track
 from vitac.server.errors import ProblemCode, ServiceError
-from vitac.server.leaderboards.baselines import list_baselines
+from vitac.server.leaderboards.baselines import list_examples
 from vitac.server.leaderboards.reading import BoardSearch, ShownRows
 
 NOON = datetime(2026, 3, 31, 12, tzinfo=UTC)
@@ -14,7 +14,7 @@ BOARD = a_leaderboard(
         an_entry(rank, team, SCORE).model_copy(update={"submitted_at": NOON + timedelta(hours=hours)})
         for rank, (team, hours) in enumerate((("Bears", -13), ("Gelbots", 0), ("Bears II", 13)), 1)
     )
-).model_copy(update={"baselines": list_baselines(load_track("track_1"), "peg-insertion")})
+).model_copy(update={"baselines": list_examples(load_track("track_1"), "peg-insertion")})
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from vitac.server.api.conditional import compress
 from vitac.server.competitions.sealing import seal
 from vitac.server.database.models import Submission, Team
 from vitac.server.database.states import WorkState
+from vitac.server.leaderboards.baselines import HUMAN, publish_human_baseline
 from vitac.server.playbacks.asking import PlaybackFile
 from vitac.server.principals import CONSOLE
 from vitac.web.pages import home
@@ -79,6 +80,16 @@ def test_who_plays_by_hand_is_told_which_row_of_which_board_to_beat(site: Seeded
     [(name, rate, low, high)] = re.findall(said, words(challenge))
     for shown in (name, rate, f"{low} to {high}"):
         assert shown in words(row)
+
+
+def test_people_are_the_row_to_beat_where_they_solved_most(site: SeededSite) -> None:
+    with site.database.transaction() as session:
+        publish_human_baseline(session, CONSOLE, TRACK, TASK, [("cuboid", True, 4)] * 20)
+    forget_boards()
+    challenge = words(site.visitor().get("/").text).partition("Can you do it by touch alone?")[2]
+    assert f"The row to beat is {HUMAN} , who solved 100.0 % (" in challenge
+    board = words(site.visitor().get(f"/tracks/{TRACK}?task={TASK}").text)
+    assert f"{HUMAN} baseline, on starts like those of the list 100.0 %" in board
 
 
 def test_where_no_board_has_baselines_none_is_named_to_beat(site: SeededSite) -> None:
