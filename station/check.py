@@ -11,11 +11,8 @@ from vitac.errors import VitacError
 from .description import (
     Calibration,
     DepthCameraSettings,
-    ForceTorqueSettings,
-    GripperSettings,
     OverviewSettings,
     Procedure,
-    StageSettings,
     StationDescription,
     StationLimits,
 )
@@ -71,18 +68,18 @@ class DeviceCheck:
 def check_station(description: StationDescription) -> Iterator[DeviceCheck]:
     """Check all devices; only the stage if another program uses it, because it may be moving."""
     devices: dict[str, Iterator[Problem]] = {
-        "stage": _check_stage(description.stage, description.limits),
-        "left tactile camera": _check_tactile_camera(description.left, description.gripper),
-        "right tactile camera": _check_tactile_camera(description.right, description.gripper),
-        "force/torque sensor": _check_force_torque(description.force_torque),
-        "gripper": _check_gripper(description.gripper),
+        "stage": _check_stage(description),
+        "left tactile camera": _check_tactile_camera(description, description.left),
+        "right tactile camera": _check_tactile_camera(description, description.right),
+        "force/torque sensor": _check_force_torque(description),
+        "gripper": _check_gripper(description),
     }
     if description.procedure is not None:
         devices["procedure"] = check_procedure(description.procedure, description.limits)
     if description.depth_camera is not None:
-        devices["RGB-D camera"] = _check_depth_camera(description.depth_camera)
+        devices["RGB-D camera"] = _check_depth_camera(description.depth_camera, description.patience)
     if description.overview is not None:
-        devices["overview camera"] = _check_overview(description.overview)
+        devices["overview camera"] = _check_overview(description.overview, description.patience)
     for device, problems in devices.items():
         found = DeviceCheck(device=device, problems=tuple(_until_failure(problems)))
         yield found
@@ -101,28 +98,29 @@ def _until_failure(problems: Iterator[Problem]) -> Iterator[Problem]:
         yield Problem(rule=DeviceRule.WORKS, sentence=str(error))
 
 
-def _check_overview(camera: OverviewSettings) -> Iterator[Problem]:
-    with cameras.UsbCamera("overview camera", camera.serial_number, camera.stream) as opened:
+def _check_overview(camera: OverviewSettings, patience: float) -> Iterator[Problem]:
+    with cameras.UsbCamera("overview camera", camera.serial_number, camera.stream, patience=patience) as opened:
         opened.read()
     yield from ()
 
 
-def _check_tactile_camera(camera: TactileCameraDescription, between: GripperSettings) -> Iterator[Problem]:
+def _check_tactile_camera(description: StationDescription, camera: TactileCameraDescription) -> Iterator[Problem]:
     """Check a camera; count its markers unless a part is pressed onto the gel, as after an agent that was killed."""
     yield from _check_calibration(camera.serial_number, camera.calibration)
-    with cameras.GelSightCamera(camera.serial_number, stream=camera.stream) as opened:
+    patience = description.patience
+    with cameras.GelSightCamera(camera.serial_number, stream=camera.stream, patience=patience) as opened:
         for _ in range(DROPPED_PICTURES):
             opened.read()
         found, expected = len(find_markers(cut_picture(opened.read()))), camera.calibration.markers
-    if found < _FOUND_MARKERS * expected and not _holds_part(between):
+    if found < _FOUND_MARKERS * expected and not _holds_part(description):
         yield _calibration(
             f"Expected {expected} markers on the gel, got {found}. Clean it, or replace and calibrate it."
         )
 
 
-def _check_depth_camera(camera: DepthCameraSettings) -> Iterator[Problem]:
+def _check_depth_camera(camera: DepthCameraSettings, patience: float) -> Iterator[Problem]:
     yield from _check_calibration(camera.serial_number, camera.calibration)
-    with cameras.open_depth_camera(camera) as opened:
+    with cameras.open_depth_camera(camera, patience=patience) as opened:
         yield from _check_identity(opened.identify(), camera.serial_number, camera.firmware)
         measured, stored = camera.calibration, opened.intrinsics()
         for name in ("width", "height", "fx", "fy", "cx", "cy"):
@@ -130,9 +128,10 @@ def _check_depth_camera(camera: DepthCameraSettings) -> Iterator[Problem]:
         opened.read()
 
 
-def _check_force_torque(sensor: ForceTorqueSettings) -> Iterator[Problem]:
+def _check_force_torque(description: StationDescription) -> Iterator[Problem]:
+    sensor, patience = description.force_torque, description.patience
     yield from _check_calibration(sensor.serial_number, sensor.calibration)
-    with force_torque.ForceTorqueSensor(sensor.host, sensor.port) as opened:
+    with force_torque.ForceTorqueSensor(sensor.host, sensor.port, patience=patience) as opened:
         stored = opened.decoupling()
         if [len(row) for row in stored] != [6] * 6:
             yield _calibration(f"Expected a matrix of 6 x 6 from the box, got rows of {[len(row) for row in stored]}.")
@@ -141,13 +140,14 @@ def _check_force_torque(sensor: ForceTorqueSettings) -> Iterator[Problem]:
                 "The box has the decoupling matrix of another sensor than the file. Send it this sensor's by AT+DCPM."
             )
         opened.start(sensor.rate_hz)
-        opened.read(timeout_s=_READING_S)
+        opened.read(timeout_s=_READING_S * patience)
         opened.stop()
 
 
-def _check_stage(described: StageSettings, limits: StationLimits) -> Iterator[Problem]:
+def _check_stage(description: StationDescription) -> Iterator[Problem]:
+    described, limits = description.stage, description.limits
     yield from _check_calibration(described.serial_number, described.calibration)
-    with stage.LinearStage(described.port) as opened:
+    with stage.LinearStage(described.port, patience=description.patience) as opened:
         if opened.status().state is stage.GrblState.HOLD:
             opened.forget_motion()  # of an agent that was killed: in a hold the controller reads no questions
         yield from _check_identity(opened.identify(), described.serial_number, described.firmware)
@@ -177,13 +177,18 @@ def _check_braking(settings: dict[int, float], limits: StationLimits) -> Iterato
             )
 
 
-def _holds_part(described: GripperSettings) -> bool:
-    with gripper.HandE(described.port, unit=described.unit) as opened:
+def _open_gripper(description: StationDescription) -> gripper.HandE:
+    described = description.gripper
+    return gripper.HandE(described.port, unit=described.unit, patience=description.patience)
+
+
+def _holds_part(description: StationDescription) -> bool:
+    with _open_gripper(description) as opened:
         return opened.status().holds_object
 
 
-def _check_gripper(described: GripperSettings) -> Iterator[Problem]:
-    with gripper.HandE(described.port, unit=described.unit) as opened:
+def _check_gripper(description: StationDescription) -> Iterator[Problem]:
+    with _open_gripper(description) as opened:
         opened.check_fault(opened.status())
     yield from ()  # a generator, as the other checks; a fault is raised
 

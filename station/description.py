@@ -272,6 +272,9 @@ class StationDescription(StrictModel):
     limits: StationLimits
     procedure: Procedure | None = None
     """How trials are played; without it a station can only be checked."""
+    patience: Annotated[float, Field(ge=1)] = 1.0
+    """Factor of the times within which devices have to answer: more than 1 for a twin, which shares the cores of its
+    computer with the station."""
     twin: TwinMark | None = None
     """Where it is a twin: every result and figure of it says so."""
 

@@ -76,7 +76,7 @@ def open_cameras(description: StationDescription, stack: ExitStack) -> tuple[Gel
         DeviceNotFound: a camera is missing.
     """
     left, right = (
-        stack.enter_context(GelSightCamera(camera.serial_number, stream=camera.stream))
+        stack.enter_context(GelSightCamera(camera.serial_number, stream=camera.stream, patience=description.patience))
         for camera in (description.left, description.right)
     )
     return left, right
@@ -282,18 +282,19 @@ def open_station(description: StationDescription) -> Iterator[OpenStation]:
     if description.procedure is None:
         raise NoProcedure(f"The file of {description.name} has no `procedure`: add where hole and garage are.")
     with ExitStack() as stack:
-        stage = stack.enter_context(LinearStage(description.stage.port))
-        gripper = stack.enter_context(HandE(description.gripper.port, unit=description.gripper.unit))
-        box = stack.enter_context(ForceTorqueSensor(description.force_torque.host, description.force_torque.port))
+        patience, at = description.patience, description.force_torque
+        stage = stack.enter_context(LinearStage(description.stage.port, patience=patience))
+        gripper = stack.enter_context(HandE(description.gripper.port, unit=description.gripper.unit, patience=patience))
+        box = stack.enter_context(ForceTorqueSensor(at.host, at.port, patience=patience))
         _make_ready(stage, gripper, box, description)  # before anybody would have to read pictures meanwhile
         left, right = open_cameras(description, stack)
         described = description.depth_camera
-        depth_camera: AnyDepthCamera | None = open_depth_camera(described) if described else None
+        depth_camera: AnyDepthCamera | None = open_depth_camera(described, patience=patience) if described else None
         if depth_camera is not None:
             stack.enter_context(depth_camera)
         guard = stack.enter_context(Guard(limits=description.limits, stage=stage, gripper=gripper, force_torque=box))
         eyes = stack.enter_context(Eyes(left=left, right=right, guard=guard))
-        overview = Overview(description.overview, guard) if description.overview else None
+        overview = Overview(description.overview, guard, patience) if description.overview else None
         if overview is not None:
             stack.enter_context(overview)
         yield OpenStation(

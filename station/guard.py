@@ -179,11 +179,11 @@ class Guard:
         """Return the mean of the next forces and torques: nothing in it was felt before the call.
 
         Raises:
-            DeviceFault: too few arrive within five seconds.
+            DeviceFault: too few arrive within five seconds, or `reading_s` where that is longer.
         """
         with self._arrived:
             enough = self._frames + frames
-            if not self._arrived.wait_for(lambda: self._frames >= enough, _ARRIVAL_S):
+            if not self._arrived.wait_for(lambda: self._frames >= enough, max(_ARRIVAL_S, self.limits.reading_s)):
                 raise DeviceFault("The force/torque sensor has sent nothing. Check its cable.")
             return _mean(list(self._wrenches)[-frames:])
 
@@ -206,7 +206,11 @@ class Guard:
         if status.state is not GrblState.IDLE:
             raise DeviceFault(f"Expected a stage at rest, got {status.state}. Wait for it, or home it after an alarm.")
         check_target(self.limits, status.pose)
-        self.stage.start_move(target, feed=feed_of(status.pose, target, speed_mm_s, rotation_deg_s))
+        try:
+            self.stage.start_move(target, feed=feed_of(status.pose, target, speed_mm_s, rotation_deg_s))
+        except DeviceFault as error:
+            self.stop(str(error), cause=StopCause.FAULT)
+            raise
         if self._reason is not None:  # stopped before the controller had the motion, so the hold did nothing
             self.stage.hold()
             self.check_released()

@@ -24,10 +24,11 @@ _SEEN_WITHIN_S, _LOOK_S = 5.0, 0.05
 class Overview:
     """An open overview camera; use it in `with`. The guard is stopped where it fails: a trial needs its evidence."""
 
-    def __init__(self, settings: OverviewSettings, guard: Guard) -> None:
+    def __init__(self, settings: OverviewSettings, guard: Guard, patience: float) -> None:
         """Open the camera; raise DeviceNotFound where it is not there."""
         self._settings, self._guard = settings, guard
-        self._camera = UsbCamera(f"overview camera {settings.serial_number}", settings.serial_number, settings.stream)
+        name = f"overview camera {settings.serial_number}"
+        self._camera = UsbCamera(name, settings.serial_number, settings.stream, patience=patience)
         self._over = Event()
         self.latest: Picture | None = None
 

@@ -19,7 +19,7 @@ from .stage import DeviceFault, DeviceNotFound, Identity
 WIDTH, HEIGHT, RATE_HZ = 640, 480, 30
 _ANSWER_MS: Final = 2000
 _STREAM_MS: Final = 8000
-"""Longest wait for a picture of a stream; a twin on a busy machine may compute a grasp meanwhile."""
+"""Longest wait for a picture of a stream; with patience it may be longer."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,9 +103,10 @@ class DepthCamera:
 class StreamedDepthCamera:
     """A camera whose pairs another program gives over HTTP, as a twin does; used as `DepthCamera`."""
 
-    def __init__(self, serial_number: str, stream: str) -> None:
-        """Ask for its identity; raise DeviceNotFound if nothing answers."""
+    def __init__(self, serial_number: str, stream: str, *, patience: float = 1.0) -> None:
+        """Ask for its identity; raise DeviceNotFound if nothing answers in time, which `patience` is a factor of."""
         self._name, self._stream = f"RGB-D camera {serial_number} at {stream}", stream
+        self._answer_s = 1e-3 * _ANSWER_MS * patience
         try:
             self._about: dict[str, Any] = json.loads(self._get("about"))
         except DeviceFault as error:
@@ -140,7 +141,7 @@ class StreamedDepthCamera:
 
     def _get(self, what: str) -> bytes:
         try:
-            with urlopen(f"{self._stream}/{what}", timeout=_ANSWER_MS / 1e3) as answer:  # noqa: S310 - of the station's file
+            with urlopen(f"{self._stream}/{what}", timeout=self._answer_s) as answer:  # noqa: S310 - of the station's file
                 return bytes(answer.read())
         except OSError as error:
             raise DeviceFault(f"The {self._name} does not answer: {error}. Check that it runs and sees.") from error
@@ -149,14 +150,14 @@ class StreamedDepthCamera:
 AnyDepthCamera = DepthCamera | StreamedDepthCamera
 
 
-def open_depth_camera(described: Described) -> AnyDepthCamera:
-    """Open the camera of a station's file.
+def open_depth_camera(described: Described, *, patience: float = 1.0) -> AnyDepthCamera:
+    """Open the camera of a station's file; `patience` is a factor of the time within which a stream has to answer.
 
     Raises:
         DeviceNotFound: it is not there.
     """
     if described.stream is not None:
-        return StreamedDepthCamera(described.serial_number, described.stream)
+        return StreamedDepthCamera(described.serial_number, described.stream, patience=patience)
     return DepthCamera(described.serial_number)
 
 
@@ -188,7 +189,13 @@ class UsbCamera:
     """An open camera; use it in `with`."""
 
     def __init__(
-        self, name: str, serial_number: str, stream: str | None = None, cameras: Path = _SYSTEM_CAMERAS
+        self,
+        name: str,
+        serial_number: str,
+        stream: str | None = None,
+        cameras: Path = _SYSTEM_CAMERAS,
+        *,
+        patience: float = 1.0,
     ) -> None:
         """Open the camera with a serial number, or a stream in its place.
 
@@ -197,12 +204,13 @@ class UsbCamera:
             serial_number: as on its label, 28F0-GX7F.
             stream: address that OpenCV reads in place of the USB camera.
             cameras: where the kernel lists cameras.
+            patience: factor of the time within which a stream has to send a picture.
 
         Raises:
             DeviceNotFound: no such camera, or it cannot be opened.
         """
         self._name = name
-        self._capture = _open(stream or find_camera(serial_number, cameras), self._name)
+        self._capture = _open(stream or find_camera(serial_number, cameras), self._name, round(_ANSWER_MS * patience))
         self._last: Picture | None = None
         self._equal = 0
 
@@ -232,9 +240,16 @@ class UsbCamera:
 class GelSightCamera(UsbCamera):
     """An open tactile camera; use it in `with`."""
 
-    def __init__(self, serial_number: str, *, stream: str | None = None, cameras: Path = _SYSTEM_CAMERAS) -> None:
+    def __init__(
+        self,
+        serial_number: str,
+        *,
+        stream: str | None = None,
+        cameras: Path = _SYSTEM_CAMERAS,
+        patience: float = 1.0,
+    ) -> None:
         """Open it as any camera."""
-        super().__init__(f"tactile camera {serial_number}", serial_number, stream, cameras)
+        super().__init__(f"tactile camera {serial_number}", serial_number, stream, cameras, patience=patience)
 
 
 def find_camera(serial_number: str, cameras: Path = _SYSTEM_CAMERAS) -> str:
@@ -268,10 +283,10 @@ def _short_buffer() -> Iterator[None]:
             os.environ[_STREAM_OPTIONS] = before
 
 
-def _open(address: str, name: str) -> Any:
+def _open(address: str, name: str, answer_ms: int) -> Any:
     import cv2
 
-    options = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _ANSWER_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _STREAM_MS]
+    options = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, answer_ms, cv2.CAP_PROP_READ_TIMEOUT_MSEC, max(_STREAM_MS, answer_ms)]
     if address.startswith("/dev/"):
         capture = cv2.VideoCapture(address, cv2.CAP_V4L2)
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # the newest picture rather than an old one

@@ -37,11 +37,17 @@ class Wrench(NamedTuple):
 class ForceTorqueSensor:
     """A box with its sensor at an open connection; use it in `with`."""
 
-    def __init__(self, host: str, port: int = 4008) -> None:
-        """Connect; raise DeviceNotFound where nobody answers."""
-        self._place = f"{host}:{port}"
+    def __init__(self, host: str, port: int = 4008, *, patience: float = 1.0) -> None:
+        """Connect; raise DeviceNotFound where nobody answers.
+
+        Args:
+            host: address.
+            port: of its set-up and frames.
+            patience: factor of the time within which it has to answer.
+        """
+        self._place, self._answer_s = f"{host}:{port}", _ANSWER_S * patience
         try:
-            self._socket = socket.create_connection((host, port), timeout=_ANSWER_S)
+            self._socket = socket.create_connection((host, port), timeout=self._answer_s)
         except OSError as error:
             raise DeviceNotFound(
                 f"No force/torque box at {self._place}: {error}. Check its cable and `host`."
@@ -113,7 +119,7 @@ class ForceTorqueSensor:
         """Send one line of set-up and return what is between `ACK+NAME=` and `$OK`; skip answers to earlier lines."""
         with self._reported():
             self._socket.sendall(f"AT+{command}\r\n".encode())
-        end = monotonic() + _ANSWER_S
+        end = monotonic() + self._answer_s
         name = command.partition("=")[0]
         answered = re.compile(rb"ACK\+(%s\b[^\r\n]*)\r\n" % re.escape(name.encode()))
         while (found := answered.search(self._pending)) is None:

@@ -67,14 +67,20 @@ class GripperStatus:
 class HandE:
     """A Hand-E at an open serial port; use it in `with`."""
 
-    def __init__(self, port: str, *, unit: int = 9) -> None:
-        """Open the port; raise DeviceNotFound where there is none."""
+    def __init__(self, port: str, *, unit: int = 9, patience: float = 1.0) -> None:
+        """Open the port; raise DeviceNotFound where there is none.
+
+        Args:
+            port: device file.
+            unit: its number at the line.
+            patience: factor of the times within which it has to answer and to move.
+        """
         from pymodbus.client import ModbusSerialClient
 
         self._place = f"{port}, unit {unit}"
-        self._unit = unit
+        self._unit, self._patience = unit, patience
         self._request: int | None = None
-        self._line = ModbusSerialClient(port, baudrate=_BAUD, timeout=_ANSWER_S, retries=_RETRIES)
+        self._line = ModbusSerialClient(port, baudrate=_BAUD, timeout=_ANSWER_S * patience, retries=_RETRIES)
         self._line.connect()
         if self._line.socket is None:
             raise DeviceNotFound(f"No gripper at {port}: expected a serial port. Check its cable and `port`.")
@@ -103,7 +109,7 @@ class HandE:
             return
         self._write((0, 0, 0))
         self._write((_ACTIVATE << 8, 0, 0))
-        end = monotonic() + _ACTIVATION_S
+        end = monotonic() + _ACTIVATION_S * self._patience
         while not (status := self.status()).is_activated:
             if monotonic() > end:
                 raise DeviceFault(f"The gripper at {self._place} was not active after {_ACTIVATION_S} s. Free its way.")
@@ -123,9 +129,13 @@ class HandE:
     def wait(self, *, timeout_s: float) -> GripperStatus:
         """Return the status when the fingers have come to rest after `start_move`.
 
+        Args:
+            timeout_s: without patience.
+
         Raises:
             DeviceFault: still moving after the time, or the gripper reports a fault.
         """
+        timeout_s *= self._patience
         end = monotonic() + timeout_s
         while (status := self.status()).grasp is Grasp.MOVING or status.request != self._request:
             self.check_fault(status)

@@ -95,16 +95,20 @@ class StageStatus:
 class LinearStage:
     """A stage at an open serial port; use it in `with`."""
 
-    def __init__(self, port: str) -> None:
+    def __init__(self, port: str, *, patience: float = 1.0) -> None:
         """Open the port for this program alone.
+
+        Args:
+            port: device file.
+            patience: factor of the time within which it has to answer.
 
         Raises:
             DeviceInUse: another program has it.
             DeviceNotFound: there is none, or nothing answers at it.
         """
-        self._lock, self._port = Lock(), port
+        self._lock, self._port, self._patience = Lock(), port, 1.0
         self._line = _open_line(port)
-        self._await_start()
+        self._await_start(patience)
 
     def __enter__(self) -> Self:
         return self
@@ -184,19 +188,21 @@ class LinearStage:
         """Leave the alarm state without homing."""
         self._command("$X")
 
-    def _await_start(self) -> None:
+    def _await_start(self, patience: float) -> None:
         """Wait until the controller answers.
 
         Behind an Arduino's USB it restarts when its port is opened. After a limit switch it answers nothing until it is
-        reset; its alarm stays.
+        reset, however long it is waited for; its alarm stays.
         """
         for _ in range(_TRIES):
             try:
                 self.status()
             except StageSilent:
+                self._patience = patience
                 with self._reported():
                     self._line.write(_RESET)
                 continue
+            self._patience = patience
             return
         self._line.close()
         raise DeviceNotFound(f"Nothing answers at {self._port}: expected GRBL 1.1. Check its power and `port`.")
@@ -215,15 +221,17 @@ class LinearStage:
         raise AssertionError  # lines end only in an exception
 
     def _lines(self, within_s: float) -> Iterator[str]:
-        """Yield lines that arrive within a time, without empty ones."""
+        """Yield lines that arrive within a time, without empty ones; one that waits for this process is not late."""
+        within_s *= self._patience
         end = monotonic() + within_s
-        pending = b""
-        while monotonic() < end:
-            pending += self._line.readline()
+        pending, is_over = b"", False
+        while not is_over or pending.endswith(b"\n"):
             if pending.endswith(b"\n"):
                 line, pending = pending.decode("ascii", "replace").strip(), b""
                 if line:
                     yield line
+            is_over = monotonic() > end
+            pending += self._line.readline()
         raise StageSilent(f"Stage at {self._port} did not answer within {within_s} s. Check its power; home it again.")
 
     @contextmanager

@@ -53,6 +53,8 @@ _WAYS_MM: Final = dict.fromkeys((ProbeKind.WALL, ProbeKind.TURN), _WALL_MM) | di
 )
 _GRASPS: Final = (ProbeKind.GRASP, ProbeKind.LIGHT_GRASP)
 _ALL: Final = tuple(probe for probe in ProbeKind if probe is not ProbeKind.HOLD)
+_CLEAR_MM: Final = 3.0
+"""Above where a station feels nothing, a peg that is tilted otherwise in a try is clear of the plate, too."""
 _LIFT_MM: Final = 1.0
 """By which the stage at least is higher on its way over the plate."""
 
@@ -172,7 +174,8 @@ class _Replay:
             if sample.probe in _GRASPS:
                 factor = LIGHT_FORCE / GRIP_FORCE if sample.probe is ProbeKind.LIGHT_GRASP else 1.0
                 first = next((each for each in self._samples[number:] if each.probe is ProbeKind.AIR), sample)
-                at = in_world(first.axes, self._hole, hidden)
+                x_mm, y_mm, z_mm, rotation_deg = in_world(first.axes, self._hole, hidden)
+                at = x_mm, y_mm, z_mm + _CLEAR_MM, rotation_deg
                 held = hold_peg(self._mounted, at, grip_harder(hidden, factor), self._meshes)
             if held is None:
                 raise VitacError("The first probe has to be a grasp; play all probes.")

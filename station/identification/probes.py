@@ -22,12 +22,13 @@ LIGHT_FORCE: Final = 1
 _REST_PICTURES: Final = 10
 _BESIDE_MM: Final = 4.5
 """Of the peg's middle from the hole's where it stands on the plate."""
-_ABOVE_MM: Final = 0.7
-_BELOW_MM: Final = 0.8
-_IN_HOLE_MM: Final = 1.5
+_ABOVE_MM: Final = 2.5
+_BELOW_MM: Final = 2.5
+_IN_HOLE_MM: Final = 2.5
+"""Beyond where plate, grasp and tilts of 1.5 degrees, over half the width of peg and plate, put the first contact."""
 _TOUCH_N: Final = 0.6
 _PRESS_N, _LIGHT_N = 14.0, 17.0
-_SLOW_MM_S, _WALL_MM_S = 0.2, 0.5
+_SLOW_MM_S, _SEEKING_MM_S = 0.2, 0.5
 """Where friction is felt nothing slides fast, as friction may depend on the speed."""
 _STEP_MM, _LIGHT_STEP_MM, _WALL_STEP_MM = 0.05, 0.15, 0.15
 _PRESS_STEPS, _LIGHT_STEPS, _WALL_STEPS, _HOLDS = 14, 20, 3, 12
@@ -37,7 +38,8 @@ _FRAMES, _MOVING_FRAMES, _ZERO_FRAMES = 10, 2, 20
 _SLIDES_MM: Final = (0.2, 0.4, 0.6, 0.4, 0.2, 0.0)
 """Along the axis in which the gripper closes: there the gels give so little that the peg slips on the plate at once.
 Ways there and back part friction from the plate's tilt."""
-_TOWARDS_WALL_MM, _WALL_N = 3.0, 1.0
+_TOWARDS_WALL_MM, _WALL_N = 6.0, 1.0
+"""A tilted peg is up to 2.5 mm from a wall, and swings about the closing axis by up to 1.5 mm before it presses so."""
 _TURN_DEG, _TURN_STEP_DEG, _TURN_NM = 14.0, 0.5, 0.05
 
 
@@ -178,21 +180,21 @@ class _Prober:
         self._sample(ProbeKind.AIR)
 
     def _press(self, probe: ProbeKind, steps: int, step_mm: float, largest_n: float) -> None:
-        touched = self._descend()
+        touched = self._descend(_SLOW_MM_S)
         self._sample(probe)
         for step in range(1, steps + 1):
             felt = self._go(touched._replace(z_mm=touched.z_mm - step * step_mm), probe, _SLOW_MM_S)
             if felt[2] > largest_n:
                 return
 
-    def _descend(self) -> Pose:
+    def _descend(self, speed_mm_s: float = _SEEKING_MM_S) -> Pose:
         """Come down until the force sensor feels the plate."""
         lowest = self._arm.pose()._replace(z_mm=self._arm.height_mm(-_BELOW_MM))
-        return self._go_until(lowest, _SLOW_MM_S, lambda felt: felt[2] > _TOUCH_N, "plate")
+        return self._go_until(lowest, lambda felt: felt[2] > _TOUCH_N, "plate", speed_mm_s)
 
     def _push_wall(self, middle: Pose, x: int, y: int) -> None:
         far = middle._replace(x_mm=middle.x_mm + x * _TOWARDS_WALL_MM, y_mm=middle.y_mm + y * _TOWARDS_WALL_MM)
-        there = self._go_until(far, _WALL_MM_S, lambda felt: math.hypot(felt[0], felt[1]) > _WALL_N, "wall of the hole")
+        there = self._go_until(far, lambda felt: math.hypot(felt[0], felt[1]) > _WALL_N, "wall of the hole")
         for step in range(_WALL_STEPS):
             way_mm = step * _WALL_STEP_MM
             self._go(there._replace(x_mm=there.x_mm + x * way_mm, y_mm=there.y_mm + y * way_mm), ProbeKind.WALL)
@@ -200,12 +202,14 @@ class _Prober:
 
     def _turn(self, middle: Pose, sign: int) -> None:
         far = middle._replace(rotation_deg=middle.rotation_deg + sign * _TURN_DEG)
-        there = self._go_until(far, _WALL_MM_S, lambda felt: abs(felt[5]) > _TURN_NM, "wall of the hole, turning")
+        there = self._go_until(far, lambda felt: abs(felt[5]) > _TURN_NM, "wall of the hole, turning")
         for step in range(_WALL_STEPS):
             self._go(there._replace(rotation_deg=there.rotation_deg + sign * step * _TURN_STEP_DEG), ProbeKind.TURN)
         self._go(middle, ProbeKind.MIDDLE)
 
-    def _go_until(self, target: Pose, speed_mm_s: float, is_met: Callable[[Force], bool], name: str) -> Pose:
+    def _go_until(
+        self, target: Pose, is_met: Callable[[Force], bool], name: str, speed_mm_s: float = _SEEKING_MM_S
+    ) -> Pose:
         def found(_sight: SensorReading, _pose: Pose) -> bool:
             return bool(is_met(self._felt(_MOVING_FRAMES)))
 

@@ -101,9 +101,11 @@ _PLAYING_LIMITS: Final[dict[str, Any]] = {
     "speed_mm_s": 5,
     "force_n": 60,
     "torque_nm": 4,
-    "reading_s": 5.0,  # its process shares cores with the station
-    "heartbeat_s": 5.0,
+    "reading_s": 30.0,
+    "heartbeat_s": 30.0,
 }
+_PATIENCE: Final = 10.0
+"""As with `reading_s` and `heartbeat_s`: its process shares cores with the station, and with whatever else runs."""
 _OVERVIEW_PERIOD_S: Final = 0.1
 _PROMPTS: Final = {"peg": [346, 290], "base": [342, 225]}
 
@@ -148,6 +150,7 @@ def playing_station(bench: Bench) -> Iterator[TwinStation]:
         stack.enter_context(bench)
         station = _at_lines(stack, left, right, box, bench.stage, bench.gripper)
         station.description["limits"] |= _PLAYING_LIMITS
+        station.description["patience"] = _PATIENCE
         station.description["twin"] = bench.mark.model_dump(mode="json")
         station.description["procedure"] = {
             "shape": str(bench.mounted.shape),

@@ -31,7 +31,6 @@ CODE = "0123456789ABCDEF"
 @pytest.fixture(scope="module")
 def player(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TrialPlayer]:
     with twin_process(HiddenSettings(latency_s=0.0), period_s=0.2) as twin:
-        twin.description["limits"] |= {"reading_s": 30.0, "heartbeat_s": 30.0}
         description = validate(StationDescription, twin.description, "station.yaml")
         operator = Operator(asks=True)
         folder = tmp_path_factory.mktemp("trial")

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import nullcontext
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -116,6 +117,21 @@ def test_names_what_is_wrong_with_one_device_and_nothing_else(
     assert list(found) == [device]
     assert [each[0] for each in found[device]] == [rule]
     assert sentence in found[device][0][1]
+
+
+@pytest.mark.parametrize(("patience", "devices"), [(1.0, ["stage", "force/torque sensor"]), (1e4, [])])
+def test_devices_that_answer_late_need_the_patience_of_the_file(
+    twins: TwinStation, monkeypatch: pytest.MonkeyPatch, patience: float, devices: list[str]
+) -> None:
+    def delay(answer: Callable[[Any], bytes]) -> Callable[[Any], bytes]:
+        return lambda asked: (Event().wait(0.05), answer(asked))[1]
+
+    for name in ("stage", "force_torque"):
+        monkeypatch.setattr(f"vitac.station.devices.{name}._ANSWER_S", 0.01)
+    monkeypatch.setattr(twins.stage, "receive", delay(twins.stage.receive))
+    monkeypatch.setattr(twins.force_torque, "_answer", delay(twins.force_torque._answer))
+    twins.description["patience"] = patience
+    assert list(problems(twins)) == devices
 
 
 def test_a_gel_that_a_held_part_hides_is_not_taken_for_a_worn_one(twins: TwinStation) -> None:

@@ -62,7 +62,6 @@ class Guided:
 def station() -> Iterator[OpenStation]:
     hidden, hexagon = HiddenSettings(latency_s=0.0), Mounted(StationTask.FUSION, "hexagon")
     with twin_process(hidden, mounted=hexagon, period_s=0.2) as running:
-        running.description["limits"] |= {"reading_s": 30.0, "heartbeat_s": 30.0}
         description = validate(StationDescription, running.description, "station.yaml")
         assert "RGB-D camera" in [each.device for each in check_station(description) if not each.problems]
         with open_station(description) as opened:

@@ -51,7 +51,7 @@ def nowhere(observation: Observation, number: int) -> NDArray[np.float32]:
 def twin() -> Iterator[RunningTwin]:
     with twin_process(HiddenSettings(latency_s=0.0), period_s=0.2) as running:
         gripper = {"position": [0, 250], "speed": 200, "force": 50}
-        running.description["limits"] |= {"reading_s": 30.0, "heartbeat_s": 30.0, "gripper": gripper}
+        running.description["limits"] |= {"gripper": gripper}
         yield running
 
 

@@ -1,9 +1,20 @@
 """The driver of the stage against its twin, over a real pseudo-terminal."""
 
+import itertools
 from collections.abc import Iterator
+from threading import Event
 
 import pytest
-from vitac.station.devices.stage import DeviceFault, DeviceNotFound, GrblState, Identity, LinearStage, Pose, StageStatus
+from vitac.station.devices.stage import (
+    DeviceFault,
+    DeviceNotFound,
+    GrblState,
+    Identity,
+    LinearStage,
+    Pose,
+    StageSilent,
+    StageStatus,
+)
 from vitac.station.twin.laboratory import Terminal
 from vitac.station.twin.stage import StageFault, StageTwin
 
@@ -128,6 +139,38 @@ def test_silent_controller_is_a_fault(stage: LinearStage, twin: StageTwin, monke
     twin.faults.add(StageFault.SILENT)
     with pytest.raises(DeviceFault, match=r"did not answer within 0\.05 s"):
         stage.status()
+
+
+def test_slow_controller_is_waited_for_with_patience_alone(
+    line: Terminal, twin: StageTwin, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    receive, core = twin.receive, Event()
+
+    def receive_late(data: bytes) -> bytes:
+        core.wait(0.3)  # for a core of a busy machine
+        return receive(data)
+
+    with LinearStage(line.port) as hasty:
+        monkeypatch.setattr("vitac.station.devices.stage._ANSWER_S", 0.1)
+        monkeypatch.setattr(twin, "receive", receive_late)
+        with pytest.raises(StageSilent):
+            hasty.status()
+        core.set()
+    with LinearStage(line.port, patience=100.0) as patient:
+        core.clear()
+        assert patient.status().state is GrblState.IDLE
+
+
+def test_answer_that_waits_for_this_process_is_not_late(stage: LinearStage, monkeypatch: pytest.MonkeyPatch) -> None:
+    times_s = itertools.chain([0.0], itertools.repeat(10.0))  # this process waited for a core for ten seconds
+
+    def wait_for_a_core() -> float:
+        while not stage._line.in_waiting:
+            Event().wait(1e-3)
+        return next(times_s)
+
+    monkeypatch.setattr("vitac.station.devices.stage.monotonic", wait_for_a_core)
+    assert stage.status().state is GrblState.IDLE
 
 
 def test_three_axes_are_too_few(stage: LinearStage, twin: StageTwin, monkeypatch: pytest.MonkeyPatch) -> None:

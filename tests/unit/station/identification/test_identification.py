@@ -5,17 +5,20 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from vitac.envs.assets import Meshes
 from vitac.envs.tactile.gel import arena_gel_mesh
 from vitac.envs.tasks.quantities import CAMERA_MOUNT_QUANTITIES
 from vitac.station.devices.stage import Pose
+from vitac.station.identification import probes
 from vitac.station.identification.camera import TooFewMarkers, fit_camera, undo_lens
 from vitac.station.identification.mechanics import _NUMBERS, Estimate, _improve, _Replay
 from vitac.station.identification.probes import ProbeKind, Probing, Sample
 from vitac.station.identification.station import _draws, _fit_viscosity
 from vitac.station.perception.markers import MarkerFlow, cut_picture, find_centres
 from vitac.station.twin.gel_view import GelView, marker_grid, see_through_lens
-from vitac.station.twin.grasp import Mounted
-from vitac.station.twin.hidden import HiddenSensor
+from vitac.station.twin.grasp import Mounted, hold_peg, in_world
+from vitac.station.twin.hidden import HiddenSensor, HiddenSettings
+from vitac.station.twin.structure import HiddenStructure, Tilt
 
 NO_MARKERS = MarkerFlow(np.zeros((0, 2)), np.zeros((0, 2)))
 
@@ -115,3 +118,35 @@ def test_environments_get_the_intervals_of_what_was_seen_alone() -> None:
     assert draws["clearance_mm"] == pytest.approx((1.8, 2.0))
     assert draws["left_turn_deg"] == pytest.approx((0.3, 0.5))
     assert "gel_friction" not in draws
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_every_probe_meets_what_it_looks_for_at_a_station_that_is_as_far_off_as_twins_are(sign: float) -> None:
+    tilt = Tilt(peg_deg=1.5 * sign, plate_deg=(1.5, -1.5 * sign))
+    hidden = HiddenSettings(
+        youngs_modulus_pa=2.4e5,
+        poisson_ratio=0.45,
+        indentation_mm=0.7,
+        grasp_z_mm=0.3 * sign,
+        plate_mm=0.2 * sign,
+        origin=(0.2, 0.2, 0.3),
+        structure=HiddenStructure(tilt=tilt, tolerance_mm=0.1),
+    )
+    hole, meshes = (0.0, 0.0, 0.0, 0.0), Meshes(gel=arena_gel_mesh(), is_arena=True)
+
+    def touch(x_mm: float, y_mm: float, z_mm: float, *, then: tuple[float, float, float]) -> float:
+        """Return the force in newtons by which a pose differs from one in free air."""
+        held = hold_peg(Mounted(), in_world((x_mm, y_mm, probes._ABOVE_MM, 0.0), hole, hidden), hidden, meshes)
+        free_n = np.array(held.wrench()[:3])
+        for x, y, z in ((x_mm, y_mm, z_mm), then):
+            held.follow(in_world((x, y, z, 0.0), hole, hidden), way_mm=0.1)
+        return float(np.linalg.norm(np.array(held.wrench()[:3]) - free_n))
+
+    beside_mm, in_hole_mm, far_mm = probes._BESIDE_MM, -probes._IN_HOLE_MM, probes._TOWARDS_WALL_MM
+    for x, y in ((1, 0), (0, 1), (-1, 0), (0, -1)):
+        there = x * beside_mm, y * beside_mm
+        assert touch(*there, probes._ABOVE_MM, then=(*there, probes._ABOVE_MM)) < 0.1
+        assert touch(*there, 0.0, then=(*there, -probes._BELOW_MM)) > probes._TOUCH_N
+    assert touch(0.0, 0.0, in_hole_mm, then=(0.0, 0.0, in_hole_mm)) < 0.1
+    for x in (1, -1):
+        assert touch(0.0, 0.0, in_hole_mm, then=(x * far_mm, 0.0, in_hole_mm)) > probes._WALL_N
