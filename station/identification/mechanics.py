@@ -187,8 +187,10 @@ class _Replay:
                 axes = in_world((x_mm, y_mm, z_mm, rotation_deg), self._hole, hidden)
                 if sample.probe is ProbeKind.AIR:
                     highest_mm = max(axes[2] + _LIFT_MM, held.axes[2])
-                    held.follow((*held.axes[:2], highest_mm, held.axes[3]))
-                    held.follow((*axes[:2], highest_mm, axes[3]))
+                    held.follow((*held.axes[:2], highest_mm, held.axes[3]), _AIR_MM)
+                    held.follow((*axes[:2], highest_mm, axes[3]), _AIR_MM)
+                elif self._samples[number - 1].probe is ProbeKind.AIR:
+                    held.follow((*axes[:2], axes[2] + _WALL_MM, axes[3]), _WALL_MM)
                 held.follow(axes, _WAYS_MM.get(sample.probe, _FINE_MM))
             wrench = np.array(held.wrench())
             if sample.probe is ProbeKind.AIR:
