@@ -34,7 +34,7 @@ def compare(found: IdentifiedStation, hidden: HiddenSettings) -> Iterator[str]:
         seen = "" if estimate.seen else ", not seen"
         yield f"{name}: {estimate.value:.4g}, true {true:.4g}, {estimate.value / true - 1:+.1%}, interval {holds}{seen}"
     for side in ("left", "right"):
-        fitted = see_through_lens(getattr(found.settings, side), PLACES_PX)
+        fitted = see_through_lens(getattr(found.settings, side), _printed_px(found.settings))
         true = see_through_lens(getattr(hidden, side), _printed_px(hidden))
         yield f"{side} camera: {np.linalg.norm(fitted - true, axis=1).max():.2f} px"
 

@@ -1,4 +1,4 @@
-"""How a tactile sensor's camera is mounted and distorts, from the markers of a gel that nothing touches."""
+"""How a tactile sensor's camera is mounted and distorts, and its print is stretched, from the markers of a free gel."""
 
 from typing import Final, NamedTuple
 
@@ -6,13 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 from vitac.errors import VitacError
 
-from ..twin.gel_view import marker_grid, see_through_lens
+from ..twin.gel_view import marker_grid, print_off, see_through_lens
 from ..twin.hidden import HiddenSensor
+from ..twin.structure import Print
 
 Positions = NDArray[np.float64]
 
-_NAMES: Final = ("shift_u_px", "shift_v_px", "turn_deg", "distortion")
-_STEPS: Final = np.array((0.1, 0.1, 0.05, 0.002))
+_NAMES: Final = ("shift_u_px", "shift_v_px", "turn_deg", "distortion", "print_stretch")
+_STEPS: Final = np.array((0.1, 0.1, 0.05, 0.002, 0.002))
 _NEAR_PX: Final = 15.0
 _FEWEST: Final = 20
 _ITERATIONS: Final = 6
@@ -27,11 +28,13 @@ class FittedCamera(NamedTuple):
 
     Attributes:
         sensor: the camera.
+        print: of the markers before it.
         deviations: by the names of the numbers.
         scatter_px: root mean square of what is left of a marker's place.
     """
 
     sensor: HiddenSensor
+    print: Print
     deviations: dict[str, float]
     scatter_px: float
 
@@ -39,18 +42,20 @@ class FittedCamera(NamedTuple):
     def values(self) -> dict[str, float]:
         """The numbers by their names."""
         sensor = self.sensor
-        return dict(zip(_NAMES, (*sensor.shift_px, sensor.turn_deg, sensor.distortion), strict=True))
+        return dict(
+            zip(_NAMES, (*sensor.shift_px, sensor.turn_deg, sensor.distortion, self.print.stretch), strict=True)
+        )
 
 
 def fit_camera(markers_px: Positions) -> FittedCamera:
-    """Return the camera that sees the printed grid where the markers are, shape [n, 2] [pixel].
+    """Return the camera and the print that put a grid where the markers are, shape [n, 2] [pixel].
 
     A print that is shifted or turned as a whole looks like a camera that is.
 
     Raises:
         TooFewMarkers: fewer than 20 are near the grid.
     """
-    numbers = np.zeros(4)
+    numbers = np.zeros(len(_NAMES))
     for _ in range(_ITERATIONS):
         seen = _see(numbers)
         distances = np.linalg.norm(seen[:, None] - markers_px[None], axis=2)
@@ -65,7 +70,7 @@ def fit_camera(markers_px: Positions) -> FittedCamera:
         numbers = numbers + np.linalg.lstsq(jacobian, left, rcond=None)[0]
     scatter_px = float(np.sqrt(np.mean(left**2)))
     deviations = scatter_px * np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)))
-    return FittedCamera(_sensor(numbers), dict(zip(_NAMES, deviations.tolist(), strict=True)), scatter_px)
+    return FittedCamera(*_split(numbers), dict(zip(_NAMES, deviations.tolist(), strict=True)), scatter_px)
 
 
 def undo_lens(sensor: HiddenSensor, seen_px: Positions) -> Positions:
@@ -76,10 +81,16 @@ def undo_lens(sensor: HiddenSensor, seen_px: Positions) -> Positions:
     return places
 
 
-def _sensor(numbers: NDArray[np.float64]) -> HiddenSensor:
-    u, v, turn_deg, distortion = numbers.tolist()
-    return HiddenSensor(shift_px=(u, v), turn_deg=turn_deg, distortion=distortion)
+def stretched_print(stretch: float) -> Print:
+    """Return a print that nothing else is wrong with: what shifts or turns it as a whole looks like the camera."""
+    return Print(shift_px=(0.0, 0.0), turn_deg=0.0, stretch=stretch, scatter_px=0.0)
+
+
+def _split(numbers: NDArray[np.float64]) -> tuple[HiddenSensor, Print]:
+    u, v, turn_deg, distortion, stretch = numbers.tolist()
+    return HiddenSensor(shift_px=(u, v), turn_deg=turn_deg, distortion=distortion), stretched_print(stretch)
 
 
 def _see(numbers: NDArray[np.float64]) -> Positions:
-    return see_through_lens(_sensor(numbers), marker_grid())
+    sensor, printed = _split(numbers)
+    return see_through_lens(sensor, print_off(printed, marker_grid(), np.random.default_rng(0)))

@@ -14,7 +14,7 @@ from ..eyes import OpenStation
 from ..twin.grasp import GRIP_MM, Axes, Mounted
 from ..twin.hidden import HiddenSettings
 from ..twin.structure import Branch
-from .camera import FittedCamera, fit_camera
+from .camera import FittedCamera, fit_camera, stretched_print
 from .mechanics import Estimate, fit_mechanics
 from .probes import ProbeKind, Probing, play_probes
 
@@ -118,7 +118,10 @@ def read_probes(
     estimates = {**mechanics.estimates, **viscosity}
     for side, camera in cameras.items():
         estimates |= {f"{side}_{each}": estimate for each, estimate in _camera_estimates(camera).items()}
-    structure = mechanics.hidden.structure.model_copy(update={"viscosity": (branch,) if branch else ()})
+    printed = stretched_print(float(np.mean([camera.print.stretch for camera in cameras.values()])))
+    structure = mechanics.hidden.structure.model_copy(
+        update={"viscosity": (branch,) if branch else (), "print": printed}
+    )
     hidden = mechanics.hidden.model_copy(update={"left": sensors[0], "right": sensors[1], "structure": structure})
     return IdentifiedStation(
         station=name,

@@ -10,7 +10,7 @@ from vitac.envs.tactile.gel import arena_gel_mesh
 from vitac.envs.tasks.quantities import CAMERA_MOUNT_QUANTITIES
 from vitac.station.devices.stage import Pose
 from vitac.station.identification import probes
-from vitac.station.identification.camera import TooFewMarkers, fit_camera, undo_lens
+from vitac.station.identification.camera import TooFewMarkers, fit_camera, stretched_print, undo_lens
 from vitac.station.identification.mechanics import _NUMBERS, Estimate, _improve, _Replay
 from vitac.station.identification.probes import ProbeKind, Probing, Sample
 from vitac.station.identification.station import _draws, _fit_viscosity
@@ -32,15 +32,18 @@ def probing(*samples: Sample) -> Probing:
     return Probing(rest_px=(marker_grid(), marker_grid()), samples=list(samples))
 
 
-@pytest.mark.parametrize("seed", [3, 4])
-def test_camera_is_found_from_a_picture_of_a_free_gel_within_a_pixel(seed: int) -> None:
+@pytest.mark.parametrize(("seed", "stretch"), [(3, 0.0), (4, 0.01)])
+def test_camera_and_stretched_print_are_found_from_a_picture_of_a_free_gel_within_a_pixel(
+    seed: int, stretch: float
+) -> None:
     u, v, turn, lens = np.random.default_rng(seed).uniform(-1.0, 1.0, 4).tolist()
     sensor = HiddenSensor(shift_px=(4 * u, 4 * v), turn_deg=1.5 * turn, distortion=0.03 * lens, worn=3, seed=seed)
-    fitted = fit_camera(find_centres(cut_picture(GelView(arena_gel_mesh(), sensor).picture())))
+    view = GelView(arena_gel_mesh(), sensor, HiddenStructure(print=stretched_print(stretch)))
+    fitted = fit_camera(find_centres(cut_picture(view.picture())))
     places = np.random.default_rng(seed).uniform((10, 10), (310, 230), (50, 2))
     errors_px = np.linalg.norm(see_through_lens(fitted.sensor, places) - see_through_lens(sensor, places), axis=1)
     assert errors_px.max() < 1.0
-    true = dict(zip(fitted.values, (*sensor.shift_px, sensor.turn_deg, sensor.distortion), strict=True))
+    true = dict(zip(fitted.values, (*sensor.shift_px, sensor.turn_deg, sensor.distortion, stretch), strict=True))
     assert all(abs(fitted.values[name] - true[name]) < 4.0 * fitted.deviations[name] for name in true)
     assert undo_lens(sensor, see_through_lens(sensor, places)) == pytest.approx(places, abs=1e-6)
 
