@@ -104,8 +104,8 @@ def page(stored: Mapping[str, Any]) -> str:
     """Return the table of all tasks as Markdown."""
     names = "".join(f" {words} |" for words in PLAYERS.values())
     lines = [
-        "# What touch is worth\nWritten by `benchmarks/touch_worth.py`: successes from the same fresh starts, in % with "
-        "95 % interval.\n\n![Solved by whom](touch_worth.svg)\n",
+        "# What touch is worth\nWritten by `benchmarks/touch_worth.py`: successes from the same fresh starts, in % "
+        "with 95 % interval.\n\n![Solved by whom](touch_worth.svg)\n",
         f"| task | starts |{names}",
         "|---" * (2 + len(PLAYERS)) + "|",
     ]

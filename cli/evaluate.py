@@ -301,6 +301,8 @@ def _printed(record: "EpisodeRecord") -> str:
 
 
 def _print_summary(evaluation: "LocalEvaluation", manifest: "SubmissionManifest") -> None:
+    from vitac.evaluator.tracks import load_track
+
     from .terminal.output import print_table
 
     print(f"{manifest.name}, {evaluation.manifest.track}, {evaluation.manifest.task}")
@@ -314,6 +316,10 @@ def _print_summary(evaluation: "LocalEvaluation", manifest: "SubmissionManifest"
         rows = [(name, rate.episodes, rate.starts, rate.successes, *_percentages(rate)) for name, rate in rates.items()]
         print_table(("shape", "episodes", "starts", "successes", "rate", "95 % interval"), rows, none="")
         print(f"mean env steps of the successes: {'none' if score.mean_steps is None else f'{score.mean_steps:.2f}'}")
+        ranking = load_track(evaluation.manifest.track).find_ranking(evaluation.manifest.task)
+        for key in ranking.measures:
+            value = score.measures.get(key.name)
+            print(f"{key.title}, mean of all episodes: {'none' if value is None else f'{value:.4g}'}")
         first = {record.outcome: record.episode for record in reversed(evaluation.records)}
         outcomes = [(outcome, count, first[outcome], outcome.sentence) for outcome, count in score.outcomes.items()]
         print_table(("outcome", "episodes", "first", "meaning"), outcomes, none="")

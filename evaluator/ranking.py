@@ -118,7 +118,7 @@ def make_ranking(names: Iterable[str], measures: Iterable[Measure] = ()) -> Rank
 
 def _make_key(measure: Measure, better: Better) -> RankingKey:
     words = f"{'higher' if better is Better.HIGH else 'lower'} {measure.meaning}"
-    title = f"{measure.label.capitalize()} [{measure.unit}]"
+    title = measure.label.capitalize() + (f" [{measure.unit}]" if measure.unit != "1" else "")
     return RankingKey(name=measure.name, title=title, unit=measure.unit, better=better, words=words)
 
 

@@ -63,6 +63,7 @@ PICTURES: Mapping[str, Sequence[Picture]] = {
         _sensor("sensor-standard", "right"),
     ),
     "peg-insertion-2024": (_scene("peg-insertion-2024", _PEG),),
+    "explore": (_scene("explore", "A gripper whose two gels hold a block; below it a cross, one arm of it on a pin"),),
     "moving-hole": (_scene("moving-hole", f"{_PEG} that moves"),),
     "lock-opening-2024": (
         _scene(

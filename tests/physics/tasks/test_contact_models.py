@@ -13,23 +13,25 @@ from vitac.envs.scene.grasped_scene import PhysicsSettings
 from vitac.envs.tasks.settings import SettingsError
 from vitac.evaluator.tracks import list_tracks, load_track
 
-ENV_IDS, MOVING_HOLE = sorted(vitac.envs.ENVIRONMENTS), "ViTac/MovingHole-v1"
+ENV_IDS = sorted(vitac.envs.ENVIRONMENTS)
+OF_ARENA = ["ViTac/Explore-v1", "ViTac/MovingHole-v1"]
 
 
 def made(env_id: str, **arguments: Any) -> Any:
     return gymnasium.make(env_id, disable_env_checker=True, **arguments).unwrapped
 
 
-@pytest.mark.parametrize("env_id", [each for each in ENV_IDS if each != MOVING_HOLE])
+@pytest.mark.parametrize("env_id", [each for each in ENV_IDS if each not in OF_ARENA])
 def test_the_challenge_model_is_the_default_and_the_mesh_hash_tells_models_apart(env_id: str) -> None:
     default, named, ours = (made(env_id, **kind).mesh_hash() for kind in ({}, *map(_named, ContactModel)))
     assert default == named != ours
 
 
-def test_a_task_of_another_model_has_that_one_alone() -> None:
-    assert made(MOVING_HOLE).mesh_hash() == made(MOVING_HOLE, contact_model="arena-2").mesh_hash()
+@pytest.mark.parametrize("env_id", OF_ARENA)
+def test_a_task_of_another_model_has_that_one_alone(env_id: str) -> None:
+    assert made(env_id).mesh_hash() == made(env_id, contact_model="arena-2").mesh_hash()
     with pytest.raises(SettingsError, match="the task's physics, or those given, have arena-2; leave it out"):
-        made(MOVING_HOLE, contact_model="challenge-2025")
+        made(env_id, contact_model="challenge-2025")
 
 
 def _named(model: ContactModel) -> dict[str, str]:

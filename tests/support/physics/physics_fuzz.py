@@ -1,7 +1,7 @@
 """Random episodes at the bounds of what a policy may do, every IPC step checked.
 
-Usage: python tests/support/physics/physics_fuzz.py [--task peg|lock|moving] [--first SEED] [--episodes N] [--past-end]
-                                                     [--eigenvalues] [--json FILE]
+Usage: python tests/support/physics/physics_fuzz.py [--task peg|lock|moving|explore] [--first SEED] [--episodes N]
+                                                     [--past-end] [--eigenvalues] [--json FILE]
 
 Prints every IPC step that was divided, did not converge or would not last, with the numbers that play it again.
 """
@@ -22,13 +22,15 @@ from vitac.envs.fem.scene.scene import StepReport, StepStatus
 from vitac.envs.geometry.keys_and_locks import KeyShape
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import GraspedScene, PhysicsSettings
+from vitac.envs.tasks.explore.definition import EndShape
+from vitac.envs.tasks.explore.env import ExploreEnv
 from vitac.envs.tasks.lock_opening.env import LockOpeningEnv
 from vitac.envs.tasks.lock_opening.scene import lock_physics
 from vitac.envs.tasks.moving_hole.env import MovingHoleEnv
 from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
 from vitac.envs.tasks.task_env import TactileTaskEnv
 
-PEG, LOCK, MOVING = "peg", "lock", "moving"
+PEG, LOCK, MOVING, EXPLORE = "peg", "lock", "moving", "explore"
 ENV_STEPS = 8
 
 
@@ -76,6 +78,8 @@ def fuzzed_environment(task: str, random: np.random.Generator, assets_dir: Path 
             gripper_z_mm=float(random.uniform(-10, -6)),
             plate_speed_mm_s=float(random.uniform(0, 3)),
         )
+    if task == EXPLORE:
+        return ExploreEnv(assets_dir=assets_dir, indentation_mm=indentation_mm, press_mm=float(random.uniform(0.1, 1)))
     standard = lock_physics()
     physics = PhysicsSettings(
         gel_friction=gel_friction, time_step_s=standard.time_step_s, contact=standard.contact, solver=standard.solver
@@ -94,6 +98,9 @@ def start_options(task: str, random: np.random.Generator) -> dict[str, Any]:
     if task in {PEG, MOVING}:
         x, y, theta = random.uniform(-1, 1, 3) * (5, 5, 10)
         return {"shape": str(random.choice(list(PegShape))), "offset_mm_deg": (float(x), float(y), float(theta))}
+    if task == EXPLORE:
+        x, y, angle = random.uniform(-1, 1, 3) * (3, 3, 30)
+        return {"shape": str(random.choice(list(EndShape))), "end_pose_mm_deg": (float(x), float(y), float(angle))}
     shape = str(random.choice(list(KeyShape)))
     return {"shape": shape, "offset_mm": (float(random.uniform(0, 5)), 0.0, 0.0)}
 
@@ -154,7 +161,7 @@ def fuzz_episode(
     task: str, seed: int, *, past_end: bool = False, eigenvalues: bool = False, assets_dir: Path | None = None
 ) -> Iterator[FuzzedStep]:
     """Play one random episode until it ends, or on to its last env step unless an IPC step does not converge."""
-    random = np.random.default_rng(np.random.SeedSequence([{PEG: 1, LOCK: 2, MOVING: 3}[task], seed]))
+    random = np.random.default_rng(np.random.SeedSequence([{PEG: 1, LOCK: 2, MOVING: 3, EXPLORE: 4}[task], seed]))
     env = fuzzed_environment(task, random, assets_dir)
     options = start_options(task, random) | {"rng_seed": (seed,)}
     _, info = env.reset(options=options)
@@ -231,7 +238,7 @@ def _is_remarkable(step: FuzzedStep) -> bool:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--task", choices=(PEG, LOCK, MOVING), default=PEG)
+    parser.add_argument("--task", choices=(PEG, LOCK, MOVING, EXPLORE), default=PEG)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--past-end", action="store_true", help="play on after a flag ended the episode")

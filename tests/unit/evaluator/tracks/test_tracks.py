@@ -279,7 +279,8 @@ def test_task_must_carry_the_name_of_its_key(content: dict[str, object]) -> None
 def test_unknown_environment_names_those_that_there_are(content: dict[str, object]) -> None:
     content["tasks"]["peg-insertion"]["env_id"] = "ViTac/Peg-v1"  # type: ignore[index]
     with pytest.raises(
-        DocumentRejected, match=r"'ViTac/Peg-v1', expected one of ViTac/FusionInsertion-v1, ViTac/LockOpening"
+        DocumentRejected,
+        match=r"'ViTac/Peg-v1', expected one of ViTac/Explore-v1, ViTac/FusionInsertion-v1, ViTac/LockOpening",
     ):
         parse(content)
 
@@ -301,10 +302,19 @@ def one_task(content: dict[str, object], *, task: str) -> str:
 
 def test_tracks_of_a_folder_stand_beside_ours(further: Path, content: dict[str, object]) -> None:
     (further / "mine.yaml").write_text(one_task(content, task="my-peg"))
-    assert list_tracks()[:2] == ("mine", "moving_hole")
+    assert list_tracks()[:3] == ("explore", "mine", "moving_hole")
     assert list_tracks()[-1] == "maniskill"
     assert find_task("my-peg")[0].name == "mine"
-    assert archive_folders() == ("Mine", "MovingHole", "Track_1", "Track_2", "Track_3", "ViTac2024", "ManiSkill")
+    assert archive_folders() == (
+        "Explore",
+        "Mine",
+        "MovingHole",
+        "Track_1",
+        "Track_2",
+        "Track_3",
+        "ViTac2024",
+        "ManiSkill",
+    )
 
 
 def test_tracks_of_ours_are_not_replaced(further: Path) -> None:
