@@ -21,6 +21,7 @@ _HALF_PI_HIGH = 1.5707963267341256
 _HALF_PI_LOW = 6.077100506506192e-11
 _LARGEST_ANGLE_RAD = 1.0e4
 _TWO_PI = 6.283185307179586
+_DEG = 57.29577951308232
 
 
 @kernel
@@ -74,6 +75,27 @@ def sine_cosine(angle_rad: float) -> tuple[float, float]:
     if quadrant == 2:
         return -sine, -cosine
     return -cosine, sine
+
+
+@kernel
+def arctangent_deg(y: float, x: float) -> float:
+    """Return the angle [deg] from the x axis to the point (x, y), from -180 to 180, to 1e-13.
+
+    Halved twice by tan(a / 2) = t / (1 + sqrt(1 + t^2)), then the series of arctan on |t| <= 0.2.
+    """
+    t = min(abs(x), abs(y)) / max(abs(x), abs(y))
+    for _ in range(2):
+        t = t / (1.0 + np.sqrt(1.0 + t * t))
+    z = t * t
+    tail = 0.0
+    for odd in range(25, 0, -2):
+        tail = 1.0 / odd - z * tail
+    angle = 4.0 * t * tail * _DEG
+    if abs(y) > abs(x):
+        angle = 90.0 - angle
+    if x < 0.0:
+        angle = 180.0 - angle
+    return angle if y >= 0.0 else -angle
 
 
 @allocating_kernel

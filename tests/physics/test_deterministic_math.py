@@ -5,7 +5,7 @@ from decimal import Decimal, localcontext
 
 import numpy as np
 import pytest
-from vitac.envs.deterministic_math import natural_log, normal_pairs, sine_cosine
+from vitac.envs.deterministic_math import arctangent_deg, natural_log, normal_pairs, sine_cosine
 
 SMALLEST_NORMAL = 2.2250738585072014e-308
 
@@ -71,6 +71,12 @@ def test_no_turn_is_exact() -> None:
 @pytest.mark.parametrize("x", [1.1e4, -math.inf, math.nan])
 def test_angles_out_of_range_give_nan(x: float) -> None:
     assert all(math.isnan(value) for value in sine_cosine(x))
+
+
+def test_angle_of_a_point_is_that_of_libm_all_around() -> None:
+    points = np.random.default_rng(4).normal(size=(3000, 2)) * [[1.0, 1e-3]]
+    for x, y in [*points.tolist(), *(points[:, ::-1]).tolist(), (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)]:
+        assert arctangent_deg(y, x) == pytest.approx(math.degrees(math.atan2(y, x)), abs=1e-13)
 
 
 def test_normal_pairs_are_normal_and_independent() -> None:

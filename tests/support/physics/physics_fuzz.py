@@ -1,6 +1,6 @@
 """Random episodes at the bounds of what a policy may do, every IPC step checked.
 
-Usage: python tests/support/physics/physics_fuzz.py [--task peg|lock|moving|explore] [--first SEED] [--episodes N]
+Usage: python tests/support/physics/physics_fuzz.py [--task peg|lock|moving|explore|turn] [--first SEED] [--episodes N]
                                                      [--past-end] [--eigenvalues] [--json FILE]
 
 Prints every IPC step that was divided, did not converge or would not last, with the numbers that play it again.
@@ -24,13 +24,15 @@ from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import GraspedScene, PhysicsSettings
 from vitac.envs.tasks.explore.definition import EndShape
 from vitac.envs.tasks.explore.env import ExploreEnv
+from vitac.envs.tasks.in_hand_turn.env import DRAWN, InHandTurnEnv
+from vitac.envs.tasks.in_hand_turn.scene import RodShape
 from vitac.envs.tasks.lock_opening.env import LockOpeningEnv
 from vitac.envs.tasks.lock_opening.scene import lock_physics
 from vitac.envs.tasks.moving_hole.env import MovingHoleEnv
 from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
 from vitac.envs.tasks.task_env import TactileTaskEnv
 
-PEG, LOCK, MOVING, EXPLORE = "peg", "lock", "moving", "explore"
+PEG, LOCK, MOVING, EXPLORE, TURN = "peg", "lock", "moving", "explore", "turn"
 ENV_STEPS = 8
 
 
@@ -80,6 +82,9 @@ def fuzzed_environment(task: str, random: np.random.Generator, assets_dir: Path 
         )
     if task == EXPLORE:
         return ExploreEnv(assets_dir=assets_dir, indentation_mm=indentation_mm, press_mm=float(random.uniform(0.1, 1)))
+    if task == TURN:
+        draws = {"gel_friction": (0.2, 0.45), "indentation_mm": (0.3, 0.6), "held_mm": (-4.0, 4.0)}
+        return InHandTurnEnv(assets_dir=assets_dir, draws=draws)
     standard = lock_physics()
     physics = PhysicsSettings(
         gel_friction=gel_friction, time_step_s=standard.time_step_s, contact=standard.contact, solver=standard.solver
@@ -101,6 +106,9 @@ def start_options(task: str, random: np.random.Generator) -> dict[str, Any]:
     if task == EXPLORE:
         x, y, angle = random.uniform(-1, 1, 3) * (3, 3, 30)
         return {"shape": str(random.choice(list(EndShape))), "end_pose_mm_deg": (float(x), float(y), float(angle))}
+    if task == TURN:
+        start = tuple(float(random.uniform(*limits)) for limits in DRAWN)
+        return {"shape": str(random.choice(list(RodShape))), "start_mm_deg": start}
     shape = str(random.choice(list(KeyShape)))
     return {"shape": shape, "offset_mm": (float(random.uniform(0, 5)), 0.0, 0.0)}
 
@@ -161,7 +169,9 @@ def fuzz_episode(
     task: str, seed: int, *, past_end: bool = False, eigenvalues: bool = False, assets_dir: Path | None = None
 ) -> Iterator[FuzzedStep]:
     """Play one random episode until it ends, or on to its last env step unless an IPC step does not converge."""
-    random = np.random.default_rng(np.random.SeedSequence([{PEG: 1, LOCK: 2, MOVING: 3, EXPLORE: 4}[task], seed]))
+    random = np.random.default_rng(
+        np.random.SeedSequence([{PEG: 1, LOCK: 2, MOVING: 3, EXPLORE: 4, TURN: 5}[task], seed])
+    )
     env = fuzzed_environment(task, random, assets_dir)
     options = start_options(task, random) | {"rng_seed": (seed,)}
     _, info = env.reset(options=options)
@@ -238,7 +248,7 @@ def _is_remarkable(step: FuzzedStep) -> bool:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--task", choices=(PEG, LOCK, MOVING, EXPLORE), default=PEG)
+    parser.add_argument("--task", choices=(PEG, LOCK, MOVING, EXPLORE, TURN), default=PEG)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--past-end", action="store_true", help="play on after a flag ended the episode")

@@ -280,7 +280,7 @@ def test_unknown_environment_names_those_that_there_are(content: dict[str, objec
     content["tasks"]["peg-insertion"]["env_id"] = "ViTac/Peg-v1"  # type: ignore[index]
     with pytest.raises(
         DocumentRejected,
-        match=r"'ViTac/Peg-v1', expected one of ViTac/Explore-v1, ViTac/FusionInsertion-v1, ViTac/LockOpening",
+        match=r"'ViTac/Peg-v1', expected one of ViTac/Explore-v1, ViTac/FusionInsertion-v1, ViTac/InHand",
     ):
         parse(content)
 
@@ -302,11 +302,12 @@ def one_task(content: dict[str, object], *, task: str) -> str:
 
 def test_tracks_of_a_folder_stand_beside_ours(further: Path, content: dict[str, object]) -> None:
     (further / "mine.yaml").write_text(one_task(content, task="my-peg"))
-    assert list_tracks()[:3] == ("explore", "mine", "moving_hole")
+    assert list_tracks()[:4] == ("explore", "in_hand_turn", "mine", "moving_hole")
     assert list_tracks()[-1] == "maniskill"
     assert find_task("my-peg")[0].name == "mine"
     assert archive_folders() == (
         "Explore",
+        "InHandTurn",
         "Mine",
         "MovingHole",
         "Track_1",
