@@ -28,8 +28,8 @@ def load_known_track(name: str) -> Track:
 
 
 def is_challenge_track(track: Track) -> bool:
-    """Return whether a track is one of the challenge's own: no variant of one, no practice, none of ManiSkill."""
-    return track.name == track.folder.lower() and not track.has_maniskill
+    """Return whether a track is one of the challenge's own, such as `track_1` in `Track_1`, and no variant of one."""
+    return track.folder.startswith("Track_") and track.name == track.folder.lower()
 
 
 def sort_challenge_first(names: Iterable[str]) -> tuple[str, ...]:
