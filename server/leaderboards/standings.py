@@ -10,6 +10,7 @@ from uuid import UUID
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session, defer, selectinload
+from vitac.evaluator.ranking import SUCCESS_RATE
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind, Track
 
@@ -193,7 +194,9 @@ class _Shown:
 def _view(session: Session, track: Track, shown: _Shown, last: LeaderboardView | None) -> LeaderboardView:
     task = shown.board.task
     entry_of = partial(_entry, board=shown.board, names=shown.names)
-    made = _add_rank_ranges(made_entries(session, shown.best, last.entries if last else (), entry_of))
+    made = made_entries(session, shown.best, last.entries if last else (), entry_of)
+    if shown.board.ranking.keys[0] == SUCCESS_RATE:  # Of nothing else is it known how it varies by chance.
+        made = _add_rank_ranges(made)
     without_rank = [entry.evaluation_id for entry in made if entry.rank is None]
     logs = without_rank if shown.board.kind.form.is_verified else ()
     copies = find_copies(session, without_rank, shown.names, logs=logs)

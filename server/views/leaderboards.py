@@ -43,7 +43,8 @@ class LeaderboardEntryView(RankedEntryView):
         description="Null for a copy, where another evaluator version made it, and on a board of references."
     )
     rank_range: tuple[int, int] | None = Field(
-        description="First and last rank that it could have by chance, as the 95 % intervals of all entries overlap."
+        description="First and last rank that it could have by chance, as the 95 % intervals of all entries overlap; "
+        "null on a board that compares something else before success rates."
     )
     copy_of: CopyView | None = Field(default=None, description="Null where it is alike to no earlier one.")
     kind: SubmissionKind

@@ -1,10 +1,12 @@
-"""Success rates against dates: of a team's submissions, and of a board's entries. Called by the pages."""
+"""What ranks against dates: of a team's submissions, and of a board's entries. Called by the pages."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from markupsafe import Markup
+from vitac.envs.tasks.definition import Better
+from vitac.evaluator.ranking import SUCCESS_RATE, RankingKey
 from vitac.server.views.leaderboards import TeamRanksView
 
 from ..rendering import percent
@@ -16,38 +18,45 @@ NAME_LENGTH = 18
 
 
 @dataclass(frozen=True, kw_only=True)
-class DatedRate:
+class DatedValue:
     """A point of the plot.
 
     Attributes:
         name: what it is of.
         at: when it was submitted.
-        success_rate: in [0, 1].
+        value: of the ranking key.
         own: whether it is marked.
     """
 
     name: str
     at: datetime
-    success_rate: float
+    value: float
     own: bool = False
 
 
-def rates_by_date(key: str, title: str, rates: Sequence[DatedRate]) -> Figure:
-    """Return a point for each rate, and a line for the best so far.
+def values_by_date(key: str, title: str, values: Sequence[DatedValue], ranked_by: RankingKey = SUCCESS_RATE) -> Figure:
+    """Return a point for each value, and a line for the best so far.
 
     Args:
         key: id of the plot.
         title: what is drawn.
-        rates: at least one.
+        values: at least one.
+        ranked_by: what they are values of.
     """
-    points = sorted(rates, key=lambda point: point.at)
+    points = sorted(values, key=lambda point: point.at)
+    is_rate, is_high_best = ranked_by == SUCCESS_RATE, ranked_by.better is Better.HIGH
+    low, high = (0.0, 1.0) if is_rate else _limits([point.value for point in points])
     x = Axis(low=points[0].at.timestamp(), high=points[-1].at.timestamp(), begin=70.0, end=556.0)
-    y = Axis(low=0.0, high=1.0, begin=190.0, end=14.0)
-    places = [(x.place(point.at.timestamp()), y.place(point.success_rate)) for point in points]
+    y = Axis(low=low, high=high, begin=190.0, end=14.0)
+    places = [(x.place(point.at.timestamp()), y.place(point.value)) for point in points]
+
+    def write(value: float) -> str:
+        return percent(value) if is_rate else f"{value:.3g}"
+
     marks = joined(
         element(
             "circle",
-            element("title", f"{point.name}, {_minute(point.at)}: {percent(point.success_rate)}"),
+            element("title", f"{point.name}, {_minute(point.at)}: {write(point.value)}"),
             class_="point own" if point.own else "point",
             cx=across,
             cy=up,
@@ -55,35 +64,41 @@ def rates_by_date(key: str, title: str, rates: Sequence[DatedRate]) -> Figure:
         )
         for point, (across, up) in zip(points, places, strict=True)
     )
-    best = max(points, key=lambda point: point.success_rate)
+    best = (max if is_high_best else min)(points, key=lambda point: point.value)
     return Figure(
         key=key,
         title=title,
         summary=f"{len(points)} from {_date(points[0].at)} to {_date(points[-1].at)}; the best is {best.name} with "
-        f"{percent(best.success_rate)}.",
+        f"{write(best.value)}.",
         width=600,
         height=222,
-        drawing=beside(y, 60.0, 570.0, lambda value: f"{100 * value:g} %")
-        + element("path", class_="best", d=_steps_up(places))
+        drawing=beside(y, 60.0, 570.0, lambda value: f"{100 * value:g} %" if is_rate else f"{value:g}")
+        + element("path", class_="best", d=_steps_to_the_best(places, is_high_best=is_high_best))
         + marks
         + joined(
             element("text", text, class_="tick", x=x.place(moment.timestamp()), y=212, text_anchor="middle")
             for moment, text in _written_dates(points[0].at, points[-1].at)
         ),
         table=Table(
-            columns=("Submitted (UTC)", "Of", "Success rate"),
-            rows=tuple((_minute(point.at), point.name, percent(point.success_rate)) for point in points),
+            columns=("Submitted (UTC)", "Of", ranked_by.title),
+            rows=tuple((_minute(point.at), point.name, write(point.value)) for point in points),
         ),
     )
 
 
-def _steps_up(places: Sequence[tuple[float, float]]) -> str:
+def _limits(values: Sequence[float]) -> tuple[float, float]:
+    """Return the ends of an axis for values that are no rates: 0 is among them, and they differ."""
+    low, high = min(0.0, *values), max(0.0, *values)
+    return (low, high) if high > low else (low, low + 1.0)
+
+
+def _steps_to_the_best(places: Sequence[tuple[float, float]], *, is_high_best: bool) -> str:
     """Return the path of the best so far; smaller y is higher."""
-    path, best = "", float("inf")
+    path, best, sign = "", float("inf"), 1.0 if is_high_best else -1.0
     for across, up in places:
-        if up < best:
+        if sign * up < best:
             path += f"H{across:.2f}V{up:.2f}" if path else f"M{across:.2f} {up:.2f}"
-            best = up
+            best = sign * up
     return f"{path}H{places[-1][0]:.2f}"
 
 

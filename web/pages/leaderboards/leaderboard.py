@@ -9,6 +9,7 @@ from uuid import UUID
 from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
+from vitac.evaluator.ranking import MEAN_STEPS, SUBMITTED_AT, SUCCESS_RATE, RankingKey
 from vitac.evaluator.tracks import Track
 from vitac.server.leaderboards.descriptions import descriptions_among
 from vitac.server.leaderboards.public_pages import public_among
@@ -24,7 +25,7 @@ from vitac.server.views.leaderboards import (
 from vitac.server.views.scores import TaskRateView, TaskScoreView
 
 from ...plots.axis import Figure
-from ...plots.dates import DatedRate, ranks_by_date, rates_by_date
+from ...plots.dates import DatedValue, ranks_by_date, values_by_date
 from ...plots.delays import success_by_delay
 from ...plots.files import find_plot_file
 from ...plots.shake_up import draw_shake_up
@@ -201,22 +202,31 @@ def _cell(column: Column, row: LeaderboardEntryView | BaselineView) -> Cell:
 
 
 def _dates(site: Site, board: LeaderboardView, own_names: Collection[str]) -> Figure | None:
-    """Return the plot of ranked entries against dates, cached until the board changes; None for a single one."""
+    """Return the plot of what ranks entries against dates, cached until the board changes; None for a single one."""
     all_ranked = [entry for entry in board.entries if entry.rank is not None]
     ranked = [*all_ranked[:PLOTTED], *(entry for entry in all_ranked[PLOTTED:] if entry.team in own_names)]
-    if len(ranked) < 2:
+    first = board.ranking.keys[0]
+    ranked_by = SUCCESS_RATE if first == SUBMITTED_AT else first
+    values = [(entry, value) for entry in ranked if (value := _find_value(entry, ranked_by)) is not None]
+    if len(values) < 2:
         return None
     own = next((entry.team for entry in ranked if entry.team in own_names), None)
 
     def make() -> Figure:
-        rates = [
-            DatedRate(name=entry.team, at=entry.submitted_at, success_rate=entry.success_rate, own=entry.team == own)
-            for entry in ranked
+        points = [
+            DatedValue(name=entry.team, at=entry.submitted_at, value=value, own=entry.team == own)
+            for entry, value in values
         ]
-        return rates_by_date("dates", "Success rate against date", rates)
+        return values_by_date("dates", f"{ranked_by.title} against date", points, ranked_by)
 
     found: Figure = site.plots.get((board.track, board.task, board.revision, own), make)
     return found
+
+
+def _find_value(entry: LeaderboardEntryView, key: RankingKey) -> float | None:
+    """Return the value of an entry by which its board compares first; None where it has none."""
+    usual = {SUCCESS_RATE.name: entry.success_rate, MEAN_STEPS.name: entry.mean_steps}
+    return {**entry.measures, **usual}.get(key.name)
 
 
 TEXT_LOGS = "text-logs"

@@ -11,7 +11,7 @@ from vitac.server.views.scores import TaskScoreView
 from vitac.server.views.submissions import EpisodeView, SubmissionView
 
 from ...plots.axis import Figure
-from ...plots.dates import DatedRate, rates_by_date
+from ...plots.dates import DatedValue, values_by_date
 from ...plots.draws import peak_forces, success_by_draw
 from ...plots.episodes import count_outcomes, offset_maps, steps_histogram, success_by_shape
 from ...site import Site
@@ -88,15 +88,15 @@ def _histories(found: SubmissionView, titles: dict[str, str], past: Sequence[Pas
     shown = []
     for task in found.tasks:
         rates = [
-            DatedRate(
+            DatedValue(
                 name=result.submission_name,
                 at=result.submitted_at,
-                success_rate=result.success_rate,
+                value=result.success_rate,
                 own=result.submission_id == found.id,
             )
             for result in past
             if result.task == task
         ]
         if len(rates) > 1:
-            shown.append(rates_by_date(f"history-{task}", titles[task], rates))
+            shown.append(values_by_date(f"history-{task}", titles[task], rates))
     return shown

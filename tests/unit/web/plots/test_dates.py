@@ -2,63 +2,81 @@ import re
 from datetime import UTC, datetime, timedelta, timezone
 from uuid import UUID
 
+from vitac.envs.tasks.definition import Better
+from vitac.evaluator.ranking import RankingKey
 from vitac.server.views.leaderboards import DatedRankView, TeamRanksView
-from vitac.web.plots.dates import DatedRate, ranks_by_date, rates_by_date
+from vitac.web.plots.dates import DatedValue, ranks_by_date, values_by_date
 
 START = datetime(2026, 11, 1, 12, tzinfo=UTC)
 
 
-def rates(*values: float) -> list[DatedRate]:
+def rates(*values: float) -> list[DatedValue]:
     return [
-        DatedRate(name=f"<{number}>", at=START + timedelta(days=number), success_rate=value, own=number == 1)
+        DatedValue(name=f"<{number}>", at=START + timedelta(days=number), value=value, own=number == 1)
         for number, value in enumerate(values)
     ]
 
 
 def test_points_rise_with_rate_and_go_right_with_time() -> None:
-    figure = rates_by_date("h", "History", rates(0.0, 0.5, 1.0))
+    figure = values_by_date("h", "History", rates(0.0, 0.5, 1.0))
     points = [(float(x), float(y)) for x, y in re.findall(r'cx="([\d.]+)" cy="([\d.]+)"', figure.drawing)]
     assert points == [(70.0, 190.0), (313.0, 102.0), (556.0, 14.0)]
     assert figure.drawing.count("point own") == 1
 
 
 def test_the_line_is_the_best_so_far() -> None:
-    path = re.search(r'class="best" d="([^"]+)"', rates_by_date("h", "History", rates(0.5, 0.25, 0.75)).drawing)
+    path = re.search(r'class="best" d="([^"]+)"', values_by_date("h", "History", rates(0.5, 0.25, 0.75)).drawing)
     assert path is not None
     assert path[1] == "M70.00 102.00H556.00V58.00H556.00"
 
 
 def test_the_order_of_the_input_does_not_matter() -> None:
     given = rates(0.5, 0.25, 0.75)
-    assert rates_by_date("h", "History", given[::-1]) == rates_by_date("h", "History", given)
+    assert values_by_date("h", "History", given[::-1]) == values_by_date("h", "History", given)
 
 
 def test_one_point_and_one_day_are_drawn() -> None:
-    figure = rates_by_date("h", "History", rates(0.5))
+    figure = values_by_date("h", "History", rates(0.5))
     assert figure.drawing.count("<circle") == 1
     assert figure.drawing.count("2026-11-01 12:00</text>") == 1
     assert "the best is <0> with 50.0" in figure.summary
 
 
 def test_names_are_escaped_in_the_drawing_and_kept_in_the_table() -> None:
-    figure = rates_by_date("h", "History", rates(0.5, 0.6))
+    figure = values_by_date("h", "History", rates(0.5, 0.6))
     assert "&lt;0&gt;" in figure.drawing
     assert "<0>" not in figure.drawing
     assert [row[1] for row in figure.table.rows] == ["<0>", "<1>"]
 
 
+def test_of_a_measure_of_which_less_is_better_the_line_goes_down_to_the_best() -> None:
+    degrees = RankingKey(
+        name="error_deg", title="Error [degree]", unit="degree", better=Better.LOW, words="lower error"
+    )
+    figure = values_by_date("h", "History", rates(8.0, 10.0, 2.5), degrees)
+    path = re.search(r'class="best" d="([^"]+)"', figure.drawing)
+    assert path is not None
+    heights = [float(height) for height in re.findall(r"V([0-9.]+)", path[1])]
+    assert len(heights) == 1, "10 is no better than 8"
+    assert heights[0] > float(path[1].split()[1].split("H")[0]), "2.5 is drawn below 8"
+    assert "the best is <2> with 2.5" in figure.summary
+    assert figure.table.columns[-1] == "Error [degree]"
+    assert [row[-1] for row in figure.table.rows] == ["8", "10", "2.5"]
+    assert "%" not in str(figure.drawing)
+
+
 def test_dates_are_those_of_utc_and_four_are_written_at_equal_distances() -> None:
-    figure = rates_by_date("h", "History", rates(0.1, 0.2, 0.3, 0.4))
+    figure = values_by_date("h", "History", rates(0.1, 0.2, 0.3, 0.4))
     written = re.findall(r'x="([\d.]+)" y="212"[^>]*>([\d-]+)<', figure.drawing)
     assert [date for _, date in written] == ["2026-11-01", "2026-11-02", "2026-11-03", "2026-11-04"]
     assert [float(x) for x, _ in written] == [70.0, 232.0, 394.0, 556.0]
-    west = [DatedRate(name="w", at=datetime(2026, 10, 31, 22, tzinfo=timezone(-timedelta(hours=5))), success_rate=0.5)]
-    assert rates_by_date("h", "History", west).table.rows == (("2026-11-01 03:00", "w", "50.0\N{NO-BREAK SPACE}%"),)
+    west = [DatedValue(name="w", at=datetime(2026, 10, 31, 22, tzinfo=timezone(-timedelta(hours=5))), value=0.5)]
+    assert values_by_date("h", "History", west).table.rows == (("2026-11-01 03:00", "w", "50.0\N{NO-BREAK SPACE}%"),)
 
 
 def test_submissions_of_one_day_have_their_minutes() -> None:
-    hours = [DatedRate(name=f"{n}", at=START + timedelta(hours=n), success_rate=0.5) for n in range(4)]
-    figure = rates_by_date("h", "History", hours)
+    hours = [DatedValue(name=f"{n}", at=START + timedelta(hours=n), value=0.5) for n in range(4)]
+    figure = values_by_date("h", "History", hours)
     written = re.findall(r'y="212"[^>]*>([^<]+)<', figure.drawing)
     assert written == [f"11-01 {hour}:00" for hour in (12, 13, 14, 15)]
     assert [row[0] for row in figure.table.rows] == [f"2026-{text}" for text in written]
@@ -67,19 +85,19 @@ def test_submissions_of_one_day_have_their_minutes() -> None:
 
 
 def test_days_that_would_be_written_twice_have_their_minutes() -> None:
-    figure = rates_by_date("h", "History", rates(0.1, 0.2, 0.3))
+    figure = values_by_date("h", "History", rates(0.1, 0.2, 0.3))
     written = re.findall(r'y="212"[^>]*>([^<]+)<', figure.drawing)
     assert written == ["11-01 12:00", "11-02 04:00", "11-02 20:00", "11-03 12:00"]
 
 
 def test_a_line_that_never_rises_stays_where_it_began() -> None:
-    path = re.search(r'class="best" d="([^"]+)"', rates_by_date("h", "History", rates(0.5, 0.5, 0.25)).drawing)
+    path = re.search(r'class="best" d="([^"]+)"', values_by_date("h", "History", rates(0.5, 0.5, 0.25)).drawing)
     assert path is not None
     assert path[1] == "M70.00 102.00H556.00"
 
 
 def test_of_equal_rates_the_earliest_is_called_the_best() -> None:
-    summary = rates_by_date("h", "History", rates(0.25, 0.75, 0.75)).summary
+    summary = values_by_date("h", "History", rates(0.25, 0.75, 0.75)).summary
     assert summary.startswith("3 from 2026-11-01 to 2026-11-03; the best is <1> with 75.0")
 
 
@@ -104,10 +122,8 @@ def test_ranks_over_time_are_a_line_for_each_team_with_its_name_and_a_row_for_ea
 
 def test_no_minute_is_written_twice_below_a_plot() -> None:
     begun = datetime(2026, 11, 26, 5, 34, 40, tzinfo=UTC)
-    rates = [
-        DatedRate(name=str(seconds), at=begun + timedelta(seconds=seconds), success_rate=0.5) for seconds in (0, 30)
-    ]
-    assert re.findall(r">(11-26 [0-9:]+)<", rates_by_date("key", "title", rates).drawing) == [
+    rates = [DatedValue(name=str(seconds), at=begun + timedelta(seconds=seconds), value=0.5) for seconds in (0, 30)]
+    assert re.findall(r">(11-26 [0-9:]+)<", values_by_date("key", "title", rates).drawing) == [
         "11-26 05:34",
         "11-26 05:35",
     ]

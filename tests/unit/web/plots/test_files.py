@@ -11,7 +11,7 @@ from page_fixtures import a_score, some_episodes
 from starlette.requests import Request
 from vitac.server.views.leaderboards import DatedRankView, TeamRanksView
 from vitac.web.plots.axis import Figure, Table, element
-from vitac.web.plots.dates import DatedRate, ranks_by_date, rates_by_date
+from vitac.web.plots.dates import DatedValue, ranks_by_date, values_by_date
 from vitac.web.plots.episodes import offset_maps, steps_histogram, success_by_shape
 from vitac.web.plots.files import STYLES, find_plot_file, write_pdf, write_svg
 from vitac.web.plots.sensors import marker_picture, quality_histogram
@@ -21,13 +21,13 @@ BEGUN = datetime(2026, 3, 1, tzinfo=UTC)
 
 def all_plots() -> list[Figure]:
     ends = some_episodes("peg-insertion", 270)
-    rates = [DatedRate(name=f"<{n}>", at=BEGUN + timedelta(days=n), success_rate=n / 9, own=n == 2) for n in range(9)]
+    rates = [DatedValue(name=f"<{n}>", at=BEGUN + timedelta(days=n), value=n / 9, own=n == 2) for n in range(9)]
     ranks = TeamRanksView(team="Ants & (Bees)", submission_id=uuid4(), ranks=[DatedRankView(at=BEGUN, rank=1)])
     return [
         *offset_maps("track_1", "peg-insertion", {end.episode: end for end in ends}),
         steps_histogram("peg-insertion", ends),
         success_by_shape(a_score((75, 78, 58), 4.16)),
-        rates_by_date("dates", "Success rate against date", rates),
+        values_by_date("dates", "Success rate against date", rates),
         ranks_by_date("ranks", "Rank", [ranks], BEGUN + timedelta(days=9)),
         quality_histogram("1", [1, 4, 9]),
         marker_picture("1", [(10.0, 20.0), (30.0, 40.0)]),
