@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,15 @@ def test_score_is_of_the_records() -> None:
     evaluation = run("succeed")
     assert evaluation.score is not None
     assert (evaluation.score.successes, evaluation.score.mean_steps, evaluation.failure) == (5, 3.0, None)
+
+
+@pytest.mark.usefixtures("one_fake_host")
+def test_score_has_the_means_of_what_the_task_measures() -> None:
+    evaluation = run("succeed")
+    ends = [record.model_copy(update={"infos": [{"surface_diff_m": [1e-3, 2e-3]}]}) for record in evaluation.records]
+    measured = replace(evaluation, records=tuple(ends)).score
+    assert measured is not None
+    assert measured.measures == pytest.approx({"surface_diff_mm": 2.0})
 
 
 @pytest.mark.usefixtures("one_fake_host")
