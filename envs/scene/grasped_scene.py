@@ -15,6 +15,7 @@ from ..fem.model.settings import AnyContactSettings, ContactSettings, SolverSett
 from ..fem.scene.layout import placed
 from ..fem.scene.scene import Scene, SceneState, StepReport, StepStatus
 from ..tactile.camera import CameraIntrinsics
+from ..tactile.gel import highest_mm
 from ..tactile.markers import MarkerSettings
 from ..tactile.sensor import TactileSensor
 from .gripper import SENSOR_COUNT, Gripper, GripperPose, SensorPose
@@ -52,6 +53,7 @@ class PhysicsSettings:
         rigid_density_kg_m3: of all rigid parts [kg/m3].
         viscosity: branches of both gels, which then are of hexahedra; modulus and ratio above are those at rest.
         yeoh: C20 and C30 of both gels over their C10, which then are of hexahedra.
+        gravity_m_s2: by which rigid parts that can move are heavy, downwards [m/s^2].
     """
 
     time_step_s: float = 0.1
@@ -64,10 +66,11 @@ class PhysicsSettings:
     rigid_density_kg_m3: float = 500.0
     viscosity: tuple[PronyBranch, ...] = ()
     yeoh: tuple[float, float] = (0.0, 0.0)
+    gravity_m_s2: float = 0.0
 
     def __repr__(self) -> str:
-        """Return all fields, the last two only where they are set: mesh hashes of settings without them stay."""
-        return repr_without_defaults(self, "viscosity", "yeoh")
+        """Return all fields, the last three only where they are set: mesh hashes of settings without them stay."""
+        return repr_without_defaults(self, "viscosity", "yeoh", "gravity_m_s2")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,8 +131,8 @@ def fixed_at_origin(mesh: SurfaceMesh, *, friction: float) -> RigidBody:
 class GraspedScene:
     """Two gels on a gripper, the part they hold (body 0), the part it goes into (body 1, fixed), and any others.
 
-    After an IPC step that did not converge nothing moves: `solved` is False and stays so. There is no gravity: a part
-    that can move and that nothing touches keeps its speed, which is zero at the start.
+    After an IPC step that did not converge nothing moves: `solved` is False and stays so. Without gravity and load a
+    part that can move and that nothing touches keeps its speed, which is zero at the start.
 
     Attributes:
         gel: mesh of both gels.
@@ -167,6 +170,7 @@ class GraspedScene:
         is_rigid = [False] * SENSOR_COUNT + [True, True] + [isinstance(part, RigidBody) for part in self.others]
         self._numbers = np.argsort(is_rigid, kind="stable")
         self._motions = {number: body.motion for number, body in enumerate(bodies) if body.motion is not None}
+        self._loads = {number: body.load for number, body in enumerate(bodies) if body.load is not None}
         with clocks.physics:
             self._scene = Scene(
                 gels=[*(self._placed_gel(index) for index in range(SENSOR_COUNT)), *gels],
@@ -174,6 +178,7 @@ class GraspedScene:
                 time_step_s=physics.time_step_s,
                 contact=physics.contact,
                 solver=physics.solver,
+                gravity_m_s2=(0.0, 0.0, -physics.gravity_m_s2),
             )
         self._reports: list[StepReport] = []
         self._last_report: StepReport | None = None
@@ -196,6 +201,11 @@ class GraspedScene:
     def pose(self) -> GripperPose:
         """Present pose of the gripper."""
         return self._gripper.pose
+
+    @property
+    def gripper_width_m(self) -> float:
+        """Commanded width between both gels' highest points where nothing presses on them [m]."""
+        return 2.0 * (self._gripper.pose.half_opening_m - 1e-3 * highest_mm(self.gel))
 
     @property
     def time_s(self) -> float:
@@ -290,6 +300,20 @@ class GraspedScene:
         solved = (report for report in self._reports if report.status is not StepStatus.NOT_CONVERGED)
         return max((report.part_force_n for report in solved), default=0.0)
 
+    def grip_force_n(self) -> float:
+        """Return the force with which both jaws squeeze the held part, the mean of both, in the last IPC step [N]."""
+        return self._squeeze_n(self._last_report) if self._last_report else 0.0
+
+    def peak_grip_force_n(self) -> float:
+        """Return the largest grip force in the solved IPC steps since reports were taken last [N]."""
+        solved = (report for report in self._reports if report.status is not StepStatus.NOT_CONVERGED)
+        return max((self._squeeze_n(report) for report in solved), default=0.0)
+
+    def _squeeze_n(self, report: StepReport) -> float:
+        x, y, z = map(float, -self.sensor_pose(0).rotation[:, 2])
+        (left_x, left_y, left_z), (right_x, right_y, right_z) = report.gel_forces_n
+        return 0.5 * (x * (left_x - right_x) + y * (left_y - right_y) + z * (left_z - right_z))
+
     def contact_forces_n(self) -> FloatArray:
         """Return the force of what does not hold the part on it, and of the contacts on each gel [N], shape [3, 3].
 
@@ -368,6 +392,7 @@ class GraspedScene:
             report = self._scene.step(
                 driven_targets_m=[*self._gripper.driven_targets_m(pose), *self._still_m],
                 displacements_m={number: motion(time_s) for number, motion in self._motions.items()},
+                loads={number: load(time_s) for number, load in self._loads.items()},
             )
         if self._still_m:  # Only the gripper's gels hold the part.
             report = replace(report, gel_forces_n=report.gel_forces_n[:SENSOR_COUNT])

@@ -54,6 +54,14 @@ CONTACT_FORCES: Observable[HasGrasp] = Observable(
     privileged=True,
 )
 
+GRIPPER_WIDTH: Observable[HasGrasp] = Observable(
+    name="gripper_width",
+    shape=(1,),
+    unit="mm",
+    meaning="Commanded width of the gripper, between both gels' highest points where nothing presses on them.",
+    read=lambda scene, _: np.array([1e3 * scene.grasped.gripper_width_m]),
+)
+
 SURFACE_POINTS: Observable[HasGrasp] = Observable(
     name="surface_pts",
     shape=(2, 2, SENSING_NODES, 3),

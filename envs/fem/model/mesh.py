@@ -457,6 +457,30 @@ class GelBody:
     yeoh: tuple[float, float] = (0.0, 0.0)
 
 
+class PointMass(NamedTuple):
+    """A weight inside a rigid part.
+
+    Attributes:
+        mass_kg: [kg].
+        point_m: where it is in the part's frame [m], shape [3].
+    """
+
+    mass_kg: float
+    point_m: FloatArray
+
+
+class PointLoad(NamedTuple):
+    """A force from outside on a rigid part.
+
+    Attributes:
+        force_n: in the world [N], shape [3].
+        point_m: where it acts, in the part's frame [m], shape [3].
+    """
+
+    force_n: FloatArray
+    point_m: FloatArray
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RigidBody:
     """A rigid part in a scene (an affine body), placed by world = rotation @ body + translation.
@@ -471,6 +495,9 @@ class RigidBody:
         fixed: whether nothing that touches it moves it.
         motion: where a fixed one is at a time [s] after the scene was built, from where it was placed [m], shape [3];
             None for one that never moves. It meets no other fixed part, and can be pickled.
+        point_masses: of a movable one, beside its density.
+        load: what pulls at a movable one at the end of an IPC step, by the time [s] after the scene was built; None
+            for nothing. It can be pickled.
     """
 
     mesh: SurfaceMesh
@@ -481,3 +508,5 @@ class RigidBody:
     material: str = PART_MATERIAL
     fixed: bool = False
     motion: Callable[[float], FloatArray] | None = None
+    point_masses: tuple[PointMass, ...] = ()
+    load: Callable[[float], PointLoad] | None = None

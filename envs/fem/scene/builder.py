@@ -164,15 +164,7 @@ def _build_affine(
     stiffness_pa: float,
 ) -> Affine:
     movable = [i for i, body in enumerate(bodies) if not body.fixed]
-    masses = [
-        frame_mass(
-            bodies[i].mesh,
-            layout.body_centroids_m[i],
-            layout.body_lengths_m[i],
-            bodies[i].density_kg_m3,
-        )
-        for i in movable
-    ]
+    masses = [_mass_kg(bodies[i], i, layout) for i in movable]
     first_node = np.array([layout.body_slices[i].start for i in movable], dtype=np.int64)
     return Affine(
         first_node=first_node,
@@ -181,6 +173,15 @@ def _build_affine(
         mass_kg=np.stack(masses) if masses else np.empty((0, 4, 4)),
         stiffness_j=np.array([stiffness_pa * bodies[i].mesh.volume_m3 for i in movable]),
     )
+
+
+def _mass_kg(body: RigidBody, index: int, layout: NodeLayout) -> FloatArray:
+    """Return the mass matrix of a body [kg], shape [4, 4], per coordinate: of its solid and its point masses."""
+    mass = frame_mass(body.mesh, layout.body_centroids_m[index], layout.body_lengths_m[index], body.density_kg_m3)
+    for mass_kg, point_m in body.point_masses:
+        weights = layout.point_weights(index, point_m)
+        mass += mass_kg * weights[:, None] * weights[None, :]
+    return mass
 
 
 def _build_points(gels: tuple[GelBody, ...], bodies: tuple[RigidBody, ...], layout: NodeLayout) -> Points:

@@ -41,6 +41,11 @@ class NodeLayout:
             self.body_weights.append(frame_weights(body.mesh.vertices_m, centroid, length))
             count += 4
 
+    def point_weights(self, body: int, point_m: FloatArray) -> FloatArray:
+        """Return the weights of a body's frame points that give a point of its frame [m], shape [3] to [4]."""
+        weights = frame_weights(np.asarray(point_m)[None], self.body_centroids_m[body], self.body_lengths_m[body])
+        return np.asarray(weights[0])
+
     def initial_positions_m(self) -> FloatArray:
         """Return the node positions [m] of shape [n, 3] as the bodies were placed."""
         parts = [placed(gel.mesh.rest_position_m, gel) for gel in self.gels]
@@ -107,6 +112,14 @@ def check_bodies(gels: Sequence[GelBody], bodies: Sequence[RigidBody]) -> None:
         _check_positive(f"body {index}", density_kg_m3=body.density_kg_m3)
         if body.motion is not None and not body.fixed:
             raise SceneError(f"body {index} has a motion, but is not fixed; only what nothing else moves can have one.")
+        if body.fixed and (body.load is not None or body.point_masses):
+            raise SceneError(
+                f"body {index} has a load or point masses, but is fixed; only movable bodies can have them."
+            )
+        for mass_kg, point_m in body.point_masses:
+            _check_positive(f"a point mass of body {index}", mass_kg=mass_kg)
+            if np.shape(point_m) != (3,) or not np.isfinite(point_m).all():
+                raise SceneError(f"A point mass of body {index} is at {point_m}, expected three finite numbers [m].")
 
 
 def check_settings(time_step_s: float, contact: AnyContactSettings, solver: SolverSettings) -> None:

@@ -15,7 +15,7 @@ from ..contact.overlap import find_overlap
 from ..contact.weakening import weaken_friction
 from ..elastic.elasticity import measure_stretches
 from ..elastic.viscosity import build_branches, follow_strain, held_stress_pa
-from ..model.mesh import GelBody, RigidBody
+from ..model.mesh import GelBody, PointLoad, RigidBody
 from ..model.model import PRESCRIBED, Surfaces, point_positions
 from ..model.settings import (
     AnyContactSettings,
@@ -112,6 +112,7 @@ class _Attempt:
     """What an IPC step starts from and goes to, node positions [m] of shape [n, 3], and what was counted so far.
 
     Attributes:
+        load_n: forces from outside [N], shape [n, 3].
         held: forces [N] of shape [n, 3] that are taken away from the step's own; zero but on the way to its end.
         near: candidates where the last motion ended.
     """
@@ -120,6 +121,7 @@ class _Attempt:
     memory: ContactMemory
     x_hat: FloatArray
     target: FloatArray
+    load_n: FloatArray
     held: FloatArray
     near: Candidates | None = None
     saddle_escapes: int = 0
@@ -136,7 +138,8 @@ class _Attempt:
         guesses: bool = False,
     ) -> IpcStep:
         """Return the step with other targets of the prescribed nodes."""
-        return IpcStep(self.start, self.memory, self.x_hat, waypoint, escapes_saddle, relaxes, guesses, self.held)
+        held = self.load_n + self.held
+        return IpcStep(self.start, self.memory, self.x_hat, waypoint, escapes_saddle, relaxes, guesses, held)
 
 
 class SceneState(NamedTuple):
@@ -151,6 +154,8 @@ class SceneState(NamedTuple):
 class Scene:
     """Steps gels and affine bodies through driven motions, each step solved to convergence.
 
+    `gravity_m_s2` acts on movable bodies in the world [m/s^2], shape [3]; gels weigh nothing.
+
     Raises:
         SceneError: a body is misplaced, bodies overlap at the start, or a material or setting is out of range.
     """
@@ -163,6 +168,7 @@ class Scene:
         time_step_s: float,
         contact: AnyContactSettings | None = None,
         solver: SolverSettings | None = None,
+        gravity_m_s2: Sequence[float] = (0.0, 0.0, 0.0),
     ) -> None:
         self._gels = tuple(gels)
         self._bodies = tuple(bodies)
@@ -183,6 +189,7 @@ class Scene:
         )
         self._surfaces = self._model.surfaces
         self._placed_m = self._layout.initial_positions_m()
+        self._weight_n = self._weigh(gravity_m_s2)
         self._x = self._placed_m.copy()
         self._branches = build_branches(self._gels, time_step_s)
         self._viscous_strain = np.zeros((*self._branches.rate.shape, 6))
@@ -206,7 +213,11 @@ class Scene:
         return new_workspace(self._model.system, len(self._x), hexahedra if branches else 0)
 
     def step(
-        self, *, driven_targets_m: Sequence[FloatArray], displacements_m: Mapping[int, FloatArray] | None = None
+        self,
+        *,
+        driven_targets_m: Sequence[FloatArray],
+        displacements_m: Mapping[int, FloatArray] | None = None,
+        loads: Mapping[int, PointLoad] | None = None,
     ) -> StepReport:
         """Advance one time step while the driven nodes of each gel move to their targets [m], shapes [d, 3].
 
@@ -216,10 +227,18 @@ class Scene:
             driven_targets_m: of each gel.
             displacements_m: where fixed bodies are at the end, by number, from where they were placed [m], shapes [3];
                 others stay.
+            loads: from outside on movable bodies in this step, by number; their weight is not among them.
         """
         start, time_step_s = self._x.copy(), self._model.parameters.time_step_s
         x_hat, target = start + time_step_s * self._velocity, self._target(driven_targets_m, displacements_m or {})
-        attempt = _Attempt(start=start, memory=self._memory, x_hat=x_hat, target=target, held=np.zeros_like(start))
+        attempt = _Attempt(
+            start=start,
+            memory=self._memory,
+            x_hat=x_hat,
+            target=target,
+            load_n=self._load_n(loads or {}),
+            held=np.zeros_like(start),
+        )
         self._last_start = start, self._memory
         if isinstance(self._contact, ArenaContactSettings) and self._contact.weakening is not None:
             self._model = self._model._replace(surfaces=self._weaken(self._contact.weakening))
@@ -338,6 +357,28 @@ class Scene:
             rows = self._layout.body_slices[index]
             target[rows] = self._placed_m[rows] + displacement_m
         return target
+
+    def _weigh(self, gravity_m_s2: Sequence[float]) -> FloatArray:
+        """Return the weights of all movable bodies at their frame points [N], shape [n, 3]."""
+        weight_n, gravity = np.zeros_like(self._placed_m), np.array(gravity_m_s2, dtype=np.float64)
+        if gravity.shape != (3,) or not np.isfinite(gravity).all():
+            raise SceneError(f"gravity_m_s2 is {gravity_m_s2}, expected three finite numbers.")
+        affine = self._model.affine
+        for first, mass_kg in zip(affine.first_node, affine.mass_kg, strict=True):
+            weight_n[first : first + 4] = mass_kg.sum(axis=1)[:, None] * gravity
+        return weight_n
+
+    def _load_n(self, loads: Mapping[int, PointLoad]) -> FloatArray:
+        """Return the forces from outside at all nodes [N], shape [n, 3]: weights and the loads of a step."""
+        load_n = self._weight_n.copy()
+        for index, (force_n, point_m) in loads.items():
+            if self._bodies[index].fixed:
+                raise SceneError(f"Body {index} is fixed; only movable bodies can be loaded.")
+            if np.shape(force_n) != (3,) or not np.isfinite([force_n, point_m]).all():
+                raise SceneError(f"The load of body {index} is {force_n} N at {point_m} m, expected finite numbers.")
+            weights = self._layout.point_weights(index, point_m)
+            load_n[self._layout.body_slices[index]] += weights[:, None] * force_n
+        return load_n
 
     def _solve(self, attempt: _Attempt) -> tuple[StepStatus, int]:
         """Solve in one or more parts, by escaping a saddle, relaxing or continuing; how, and in how many parts."""

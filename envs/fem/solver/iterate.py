@@ -32,7 +32,7 @@ class IpcStep(NamedTuple):
     escapes_saddle: bool  # whether the state at hand is an unstable equilibrium, to be left first
     relaxes: bool  # whether forces are relaxed before the first turn
     guesses: bool  # whether x_hat is the first guess, as far as contact and inversion allow
-    held: FloatArray  # forces [N], shape [n, 3], that are taken away from the step's own
+    held: FloatArray  # forces [N], shape [n, 3], that are taken away from the step's own: loads, and what is held
 
 
 class NewtonStep(NamedTuple):

@@ -68,9 +68,10 @@ class BalancePath:
         self, model: Model, x: FloatArray, step: IpcStep, unbalanced: FloatArray, workspace: Workspace
     ) -> None:
         self._model, self._x, self._unbalanced, self._workspace = model, x, unbalanced, workspace
+        self._load_n = step.held
         self._start, self._driven = x.copy(), np.zeros_like(x)
         write_remaining_motion(model, x, step.x_target, self._driven)
-        self._solve = new_solve(model, x, step._replace(held=np.zeros_like(x)))
+        self._solve = new_solve(model, x, step._replace(held=step.held.copy()))
         self._candidates = list_candidates(model, self._solve)
         unknowns = 3 * len(model.unknowns.node)
         self._correction, self._per_part = np.empty(unknowns), np.empty(unknowns)
@@ -166,7 +167,7 @@ class BalancePath:
     def _linearise(self) -> bool:
         """Write the Newton correction, and the motion per part of the way; False where the matrix is singular."""
         self.iterations += 1
-        self._solve.start.held[:] = (1.0 - self._part) * self._unbalanced
+        self._solve.start.held[:] = self._load_n + (1.0 - self._part) * self._unbalanced
         self._workspace.system.prescribed_move[:] = self._driven
         model, s, system, factor = self._model, self._solve, self._workspace.system, self._workspace.factor
         assemble(model, self._candidates, s.iterate, s.start, self._workspace, EXACT_MATRIX)

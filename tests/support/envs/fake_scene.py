@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from vitac.envs.fem.contact.forces import PairForces, no_forces
-from vitac.envs.fem.model.mesh import GelBody, RigidBody
+from vitac.envs.fem.model.mesh import GelBody, PointLoad, RigidBody
 from vitac.envs.fem.scene.scene import StepReport, StepStatus
 
 
@@ -28,17 +28,32 @@ class FakeScene:
     built: "list[FakeScene]" = []  # noqa: RUF012 - cleared by the fixture that installs the class
 
     def __init__(
-        self, *, gels: Sequence[GelBody], bodies: Sequence[RigidBody], time_step_s: float, contact: Any, solver: Any
+        self,
+        *,
+        gels: Sequence[GelBody],
+        bodies: Sequence[RigidBody],
+        time_step_s: float,
+        contact: Any,
+        solver: Any,
+        gravity_m_s2: Sequence[float],
     ) -> None:
         self.gels, self.bodies, self.time_step_s = list(gels), list(bodies), time_step_s
-        self.contact, self.solver = contact, solver
+        self.contact, self.solver, self.gravity_m_s2 = contact, solver, gravity_m_s2
+        self.loads: list[dict[int, PointLoad]] = []
         self.targets_m: list[list[np.ndarray]] = []
         self.displacements_m: list[dict[int, np.ndarray]] = []
         self.placed = [(gel.rotation, gel.translation_m) for gel in gels]
         self._pending = list(self.statuses)
         self.built.append(self)
 
-    def step(self, *, driven_targets_m: Sequence[np.ndarray], displacements_m: Mapping[int, np.ndarray]) -> StepReport:
+    def step(
+        self,
+        *,
+        driven_targets_m: Sequence[np.ndarray],
+        displacements_m: Mapping[int, np.ndarray],
+        loads: Mapping[int, PointLoad],
+    ) -> StepReport:
+        self.loads.append(dict(loads))
         self.displacements_m.append(dict(displacements_m))
         self.targets_m.append([targets.copy() for targets in driven_targets_m])
         for index, (gel, targets) in enumerate(zip(self.gels, driven_targets_m, strict=True)):

@@ -1,7 +1,7 @@
 """Random episodes at the bounds of what a policy may do, every IPC step checked.
 
-Usage: python tests/support/physics/physics_fuzz.py [--task peg|lock|moving|explore|turn] [--first SEED] [--episodes N]
-                                                     [--past-end] [--eigenvalues] [--json FILE]
+Usage: python tests/support/physics/physics_fuzz.py [--task peg|lock|moving|explore|turn|slip] [--first SEED]
+                                                     [--episodes N] [--past-end] [--eigenvalues] [--json FILE]
 
 Prints every IPC step that was divided, did not converge or would not last, with the numbers that play it again.
 """
@@ -30,9 +30,11 @@ from vitac.envs.tasks.lock_opening.env import LockOpeningEnv
 from vitac.envs.tasks.lock_opening.scene import lock_physics
 from vitac.envs.tasks.moving_hole.env import MovingHoleEnv
 from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
+from vitac.envs.tasks.slip.env import SlipEnv
+from vitac.envs.tasks.slip.scene import SlipShape
 from vitac.envs.tasks.task_env import TactileTaskEnv
 
-PEG, LOCK, MOVING, EXPLORE, TURN = "peg", "lock", "moving", "explore", "turn"
+PEG, LOCK, MOVING, EXPLORE, TURN, SLIP = "peg", "lock", "moving", "explore", "turn", "slip"
 ENV_STEPS = 8
 
 
@@ -85,6 +87,12 @@ def fuzzed_environment(task: str, random: np.random.Generator, assets_dir: Path 
     if task == TURN:
         draws = {"gel_friction": (0.2, 0.45), "indentation_mm": (0.3, 0.6), "held_mm": (-4.0, 4.0)}
         return InHandTurnEnv(assets_dir=assets_dir, draws=draws)
+    if task == SLIP:
+        drawn = {
+            "part_mass_kg": (0.05, 1.0), "centre_of_mass_mm": (-2.5, 2.5), "gel_friction": (0.2, 2.0),
+            "load_n": (0.0, 30.0),
+        }  # fmt: skip
+        return SlipEnv(assets_dir=assets_dir, draws=drawn)
     standard = lock_physics()
     physics = PhysicsSettings(
         gel_friction=gel_friction, time_step_s=standard.time_step_s, contact=standard.contact, solver=standard.solver
@@ -109,6 +117,9 @@ def start_options(task: str, random: np.random.Generator) -> dict[str, Any]:
     if task == TURN:
         start = tuple(float(random.uniform(*limits)) for limits in DRAWN)
         return {"shape": str(random.choice(list(RodShape))), "start_mm_deg": start}
+    if task == SLIP:
+        x, z = random.uniform(-1, 1, 2) * (3, 6)
+        return {"shape": str(random.choice(list(SlipShape))), "offset_mm": (float(x), float(z))}
     shape = str(random.choice(list(KeyShape)))
     return {"shape": shape, "offset_mm": (float(random.uniform(0, 5)), 0.0, 0.0)}
 
@@ -170,7 +181,7 @@ def fuzz_episode(
 ) -> Iterator[FuzzedStep]:
     """Play one random episode until it ends, or on to its last env step unless an IPC step does not converge."""
     random = np.random.default_rng(
-        np.random.SeedSequence([{PEG: 1, LOCK: 2, MOVING: 3, EXPLORE: 4, TURN: 5}[task], seed])
+        np.random.SeedSequence([{PEG: 1, LOCK: 2, MOVING: 3, EXPLORE: 4, TURN: 5, SLIP: 6}[task], seed])
     )
     env = fuzzed_environment(task, random, assets_dir)
     options = start_options(task, random) | {"rng_seed": (seed,)}
@@ -248,7 +259,7 @@ def _is_remarkable(step: FuzzedStep) -> bool:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--task", choices=(PEG, LOCK, MOVING, EXPLORE, TURN), default=PEG)
+    parser.add_argument("--task", choices=(PEG, LOCK, MOVING, EXPLORE, TURN, SLIP), default=PEG)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--past-end", action="store_true", help="play on after a flag ended the episode")
