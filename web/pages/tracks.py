@@ -63,6 +63,11 @@ PICTURES: Mapping[str, Sequence[Picture]] = {
         _sensor("sensor-standard", "right"),
     ),
     "peg-insertion-2024": (_scene("peg-insertion-2024", _PEG),),
+    "in-hand-turn": (
+        _scene(
+            "in-hand-turn", "A gripper whose two gels hold a rod by its flat head, pressed against the edge of a bar"
+        ),
+    ),
     "explore": (_scene("explore", "A gripper whose two gels hold a block; below it a cross, one arm of it on a pin"),),
     "moving-hole": (_scene("moving-hole", f"{_PEG} that moves"),),
     "lock-opening-2024": (
