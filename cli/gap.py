@@ -35,7 +35,8 @@ def command(
 ) -> None:
     """Show how far simulation is from a station, with 95 % intervals: success by start, markers and forces by trial.
 
-    Trials of a twin without one of its differences are no policies of their own: they show which share it explains.
+    Trials of a twin without one more of its differences than the others lack are no policies of their own: they show
+    which share it explains.
     """
     from vitac.evaluator.scoring.gap import measure_gap
 
@@ -46,9 +47,10 @@ def command(
     starts: dict[int, Hashable] = {}
     tried = [(simulated, file, _read_trials(file)) for simulated, file in zip(files[::2], files[1::2], strict=True)]
     pairs = [(_played_twice(*each, starts), each[-1]) for each in tried]
-    whole = [(policy, report) for policy, report in pairs if not _without(report)]
+    lacking = frozenset.intersection(*(_without(report) for _, report in pairs))
+    whole = [(policy, report) for policy, report in pairs if _without(report) == lacking]
     gap = measure_gap([policy for policy, _ in whole], starts)
-    shares = _measure_shares(pairs, starts)
+    shares = _measure_shares(pairs, lacking, starts)
     touch = _measure_touch([report for _, report in whole], identified)
     twins = sorted({f"{report.station} is {report.twin}." for _, report in pairs if report.twin})
     if as_json:
@@ -67,23 +69,30 @@ def command(
     _print_touch(touch)
 
 
-def _without(report: RehearsalReport) -> tuple[str, ...]:
-    return report.twin.without if report.twin else ()
+def _without(report: RehearsalReport) -> frozenset[str]:
+    return frozenset(report.twin.without if report.twin else ())
 
 
 def _measure_shares(
-    pairs: list[tuple[PlayedTwice, RehearsalReport]], starts: dict[int, Hashable]
+    pairs: list[tuple[PlayedTwice, RehearsalReport]], lacking: frozenset[str], starts: dict[int, Hashable]
 ) -> dict[str, Measured | None]:
-    """Return by difference which share of the gap it explains, from the policies that were also played without it."""
+    """Return by difference which share of the gap it explains, from the policies that were also played without it.
+
+    Args:
+        pairs: all of them.
+        lacking: what all twins are without.
+        starts: of every episode.
+    """
     from vitac.evaluator.scoring.gap import measure_share
 
-    whole = {report.submission_digest: policy for policy, report in pairs if not _without(report)}
+    played = [(_without(report), report.submission_digest, policy) for policy, report in pairs]
+    whole = {digest: policy for names, digest, policy in played if names == lacking}
     shares = {}
-    for name in dict.fromkeys(_without(report) for _, report in pairs if _without(report)):
-        without = {report.submission_digest: policy for policy, report in pairs if _without(report) == name}
+    for names in dict.fromkeys(names for names, _, _ in played if names != lacking):
+        without = {digest: policy for others, digest, policy in played if others == names}
         both = [digest for digest in without if digest in whole]
         if both:
-            shares[", ".join(name)] = measure_share(
+            shares[", ".join(sorted(names - lacking))] = measure_share(
                 [whole[digest] for digest in both], [without[digest] for digest in both], starts
             )
     return shares

@@ -30,8 +30,8 @@ _TRIES: Final = 40
 """Simulations of all probes besides those for the slopes."""
 _DAMPING: Final = 10.0
 """Of the first try after slopes by differences (Levenberg and Marquardt): numbers that little shows hardly move."""
-_FITTED: Final = 0.4
-"""Misfit that the right structure stays below; another one widens the intervals."""
+_FITTED: Final = 0.2
+"""Misfit from which on intervals are wider than noise makes them: what our simulation lacks shifts the numbers."""
 _LITTLE, _WEAK = 0.1, 2
 """Part of the cost that a try is worth at least, and how many in a row that gain less end a search."""
 _LOOSE_MM: Final = 2.0

@@ -99,6 +99,10 @@ def test_a_twin_is_named_and_what_it_lacks_explains_a_share(tmp_path: Path, caps
     assert {name: share["value"] for name, share in gap["shares"].items()} == pytest.approx({"mesh": 1.0, "tilt": 0.0})
     assert "bench is a twin of class B, no hardware." in gap["twins"]
     assert "bench is a twin of class B without mesh, no hardware." in gap["twins"]
+    both = at_twin("b.json", {1, 2, 3}, "tilt", "mesh")
+    code, out, _ = run(capsys, log, tilt, log, both, "--json")  # a station of its own, which never had a tilt
+    assert (code, len(json.loads(out)["policies"])) == (0, 1)
+    assert {name: share["value"] for name, share in json.loads(out)["shares"].items()} == pytest.approx({"mesh": 2 / 3})
 
 
 def test_trials_at_a_twin_of_identified_settings_stand_for_simulation(
