@@ -23,6 +23,7 @@ _RELAXATIONS_S: Final = np.geomspace(0.2, 6.0, 40)
 _SMALLEST_RATIO: Final = 0.005
 _UNSEEN: Final = (
     "a print that is shifted or turned as a whole: it looks like a camera that is",
+    "a tilt that plate and peg share: it looks like a grasp beside the peg's middle",
     "the heights of grasp and plate apart: their sum decides where the peg touches",
     "a giving stage or fingers and a stiffening gel apart from each other: all change the forces on the plate, so "
     "modulus and frictions are effective values",
