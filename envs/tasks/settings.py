@@ -5,12 +5,15 @@ from dataclasses import fields, replace
 from difflib import get_close_matches
 from enum import StrEnum
 from math import isfinite
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from vitac.errors import VitacError
 
 from ..fem.model.settings import ArenaContactSettings, ContactModel
+
+if TYPE_CHECKING:
+    from ..scene.grasped_scene import PhysicsSettings
 
 Settings = TypeVar("Settings")
 
@@ -242,3 +245,10 @@ def with_contact_model(settings: SettingsT, name: str | None, *, has_own_gel: bo
     poisson_ratio = physics.poisson_ratio if has_own_gel else SILICONE_POISSON_RATIO
     physics = replace(physics, contact=ArenaContactSettings(), poisson_ratio=poisson_ratio)
     return replace(settings, physics=physics)  # type: ignore[type-var]
+
+
+def arena_physics() -> "PhysicsSettings":
+    """Return the contact model arena-2 with its gel; the rest as in the tasks of 2025."""
+    from ..scene.grasped_scene import PhysicsSettings
+
+    return PhysicsSettings(contact=ArenaContactSettings(), poisson_ratio=SILICONE_POISSON_RATIO)

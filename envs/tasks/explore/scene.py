@@ -9,14 +9,13 @@ import numpy as np
 from ...assets import Meshes
 from ...deterministic_math import sine_cosine
 from ...fem.model.mesh import RigidBody, SurfaceMesh
-from ...fem.model.settings import ArenaContactSettings
 from ...geometry.solid import Face, Polygon, as_polygon, prism_faces, rectangle, solid_from_faces
 from ...scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings, fixed_at_origin
 from ...scene.gripper import UPRIGHT_MOUNTS, Gripper, GripperPose, ipc_steps
 from ...scene.perspective import FloatArray
 from ...tactile.gel import highest_mm
 from ...tactile.markers import MarkerSettings
-from ..settings import SILICONE_POISSON_RATIO, require
+from ..settings import arena_physics, require
 from .definition import LARGEST_XY_MM, TASK, EndShape
 
 BLOCK_MM = rectangle(-20.0, 20.0, -15.0, 15.0)
@@ -66,11 +65,6 @@ _OUTLINES_MM: dict[EndShape, Polygon] = {
 _OPENING_MM = rectangle(-5.0, 5.0, -5.0, 5.0)
 
 
-def explore_physics() -> PhysicsSettings:
-    """Return the contact model arena-2 with its gel; the rest as in the peg task."""
-    return PhysicsSettings(contact=ArenaContactSettings(), poisson_ratio=SILICONE_POISSON_RATIO)
-
-
 @dataclass(frozen=True, kw_only=True)
 class ExploreSettings:
     """What the task leaves open; lengths in mm and angles in degrees.
@@ -92,7 +86,7 @@ class ExploreSettings:
     indentation_mm: float = 0.875
     random_xy_mm: float = 3.0
     random_angle_deg: float = 20.0
-    physics: PhysicsSettings = field(default_factory=explore_physics)
+    physics: PhysicsSettings = field(default_factory=arena_physics)
     markers: MarkerSettings = field(default_factory=MarkerSettings)
 
     def __post_init__(self) -> None:

@@ -20,7 +20,7 @@ from ...tactile.gel import highest_mm
 from ...tactile.markers import MarkerSettings
 from ..definition import surface_moved_too_far
 from ..quantities import check_quantities
-from ..settings import SILICONE_POISSON_RATIO, require
+from ..settings import arena_physics, require
 from .definition import HELD, TASK, TOLERANCE_DEG
 
 ROD_THICKNESS_MM = 8.0
@@ -76,8 +76,7 @@ def turn_physics() -> PhysicsSettings:
         replace(pair, coefficient=_GEL_FRICTION) if {pair.first, pair.second} == {GEL_MATERIAL, PART_MATERIAL} else pair
         for pair in ArenaContactSettings().pair_frictions
     )
-    contact = ArenaContactSettings(pair_frictions=frictions)
-    return PhysicsSettings(contact=contact, poisson_ratio=SILICONE_POISSON_RATIO)
+    return replace(arena_physics(), contact=ArenaContactSettings(pair_frictions=frictions))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,13 +9,12 @@ import numpy as np
 from ...assets import Meshes
 from ...deterministic_math import sine_cosine
 from ...fem.model.mesh import RigidBody, SurfaceMesh
-from ...fem.model.settings import ArenaContactSettings
 from ...scene.grasped_scene import Clocks, PhysicsSettings
 from ...scene.perspective import FloatArray
 from ..insertion.interface import PegOffset
 from ..peg_insertion.scene import PegInsertionSettings, PegScene, PegStart
 from ..quantities import check_quantities
-from ..settings import SILICONE_POISSON_RATIO, require
+from ..settings import arena_physics, require
 from .definition import PLATE_SPEED
 
 EARLIEST_START_S = 0.4
@@ -69,11 +68,6 @@ class PlatePath:
         return sine_cosine(turn * since_s)[0] / turn
 
 
-def moving_hole_physics() -> PhysicsSettings:
-    """Return the contact model arena-2 with its gel; the rest as in the peg task."""
-    return PhysicsSettings(contact=ArenaContactSettings(), poisson_ratio=SILICONE_POISSON_RATIO)
-
-
 @dataclass(frozen=True, kw_only=True)
 class MovingHoleSettings(PegInsertionSettings):
     """Those of the peg task, with values of this one.
@@ -89,7 +83,7 @@ class MovingHoleSettings(PegInsertionSettings):
     ipc_steps: int = 4
     plate_speed_mm_s: float = 0.8
     latest_start_s: float = 1.6
-    physics: PhysicsSettings = field(default_factory=moving_hole_physics)
+    physics: PhysicsSettings = field(default_factory=arena_physics)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -1,6 +1,6 @@
 """Scene of the slip task: a part on a table, a load on it that grows, and a gripper whose width is commanded."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import sqrt
 
@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from ...assets import Meshes
 from ...fem.model.mesh import PointLoad, PointMass, RigidBody, SurfaceMesh
-from ...fem.model.settings import ArenaContactSettings
 from ...geometry.bases import regular_hexagon_mm
 from ...geometry.solid import Polygon, prism_faces, rectangle, solid_from_faces
 from ...scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings, fixed_at_origin
@@ -17,7 +16,7 @@ from ...scene.gripper import UPRIGHT_MOUNTS, Gripper, GripperPose
 from ...tactile.gel import highest_mm
 from ...tactile.markers import MarkerSettings
 from ..quantities import check_quantities
-from ..settings import SILICONE_POISSON_RATIO, require
+from ..settings import arena_physics, require
 from .definition import CENTRE_OF_MASS, LOAD, MASS, PART_QUANTITIES, TASK
 
 FloatArray = NDArray[np.float64]
@@ -50,12 +49,7 @@ class SlipShape(StrEnum):
 
 def slip_physics() -> PhysicsSettings:
     """Return the contact model arena-2 with its gel, gravity, and IPC steps of 0.2 s."""
-    return PhysicsSettings(
-        time_step_s=0.2,
-        contact=ArenaContactSettings(),
-        poisson_ratio=SILICONE_POISSON_RATIO,
-        gravity_m_s2=GRAVITY_M_S2,
-    )
+    return replace(arena_physics(), time_step_s=0.2, gravity_m_s2=GRAVITY_M_S2)
 
 
 @dataclass(frozen=True, kw_only=True)
