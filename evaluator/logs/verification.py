@@ -12,7 +12,7 @@ from ..episodes.records import EpisodeOutcome, EpisodeRecord, Manifest
 from ..episodes.replay import Resimulated, resimulate
 from ..scoring.score import Score, score
 from ..strict_model import StrictModel
-from ..tracks import Task, Track
+from ..tracks import Task, Track, load_track
 from .checks import explain_impossible, must_agree
 from .findings import WHY_TOLERATED, Divergence, LogFinding, OtherPicture, VerificationResult, comparable
 from .log import LogHeader
@@ -36,7 +36,9 @@ class Verification(StrictModel):
     @property
     def score(self) -> Score | None:
         """The score that the actions earn; None unless the log is verified."""
-        return score(self.records) if self.records else None
+        if not self.records:
+            return None
+        return score(self.records, load_track(self.manifest.track).task(self.manifest.task).definition.measures)
 
 
 @dataclass(frozen=True, kw_only=True)

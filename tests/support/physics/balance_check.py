@@ -1,12 +1,14 @@
 """What an IPC step left behind, assembled anew: nothing here asks the solver whether it solved the step."""
 
 import contextlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from engine_probe import Assembled, Probe
 from numpy.typing import NDArray
 from vitac.envs.fem.contact.overlap import find_overlap
+from vitac.envs.fem.model.mesh import PointLoad
 from vitac.envs.fem.scene.scene import Scene, StepReport, StepStatus
 
 FloatArray = NDArray[np.float64]
@@ -62,8 +64,9 @@ class BalanceCheck:
         self._probe.memory = self._scene._memory
         self._probe.x_hat_m = self._scene._x + time_step_s * self._scene._velocity
 
-    def balance(self) -> Balance:
-        """What the IPC step since `remember` has left."""
+    def balance(self, loads: Mapping[int, PointLoad] | None = None) -> Balance:
+        """What the IPC step since `remember` has left, with the loads that it was played with."""
+        self._probe.load_n = self._scene._load_n(loads or {})
         here: Assembled = self._probe.at(self._scene._x)
         return Balance(
             largest_force_n=float(np.linalg.norm(here.forces_n.reshape(-1, 3), axis=1).max()),

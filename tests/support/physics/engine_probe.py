@@ -43,6 +43,7 @@ class Probe:
         self.x_m: FloatArray = scene._x.copy()
         self.start_m = self.x_m.copy() if start_m is None else start_m
         self.x_hat_m = self.start_m.copy()
+        self.load_n: FloatArray = scene._weight_n
         self.memory: ContactMemory = scene._memory
         self.unknown_nodes: IndexArray = self.model.unknowns.node
         self.prescribed_nodes: IndexArray = np.flatnonzero(self.model.unknowns.slot == PRESCRIBED)
@@ -82,7 +83,7 @@ class Probe:
         matrix = PROJECTED_MATRIX if projected else EXACT_MATRIX
         w = self._workspace
         w.system.prescribed_move[:] = move
-        start = StepStart(self.x_hat_m, y_start, self.memory, np.zeros_like(x_m))
+        start = StepStart(self.x_hat_m, y_start, self.memory, self.load_n.copy())
         # Dual variables of friction are those of the state only where it was not moved to from another one.
         for _ in range(2 if self.model.parameters.remembers_slip else 1):
             assemble(self.model, near, State(x_m, y, motion), start, w, matrix)

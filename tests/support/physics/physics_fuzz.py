@@ -158,7 +158,8 @@ class _Watch:
         return Seen(intersects=self._check.intersects(self._scene), smallest_gap_m=gap_m)
 
     def _look(self) -> None:
-        left = self._balance.balance()
+        loads = {number: load(self._scene.time_s) for number, load in self._scene._loads.items()}
+        left = self._balance.balance(loads)
         growing, oscillating = left.growing_directions() if self._eigenvalues else (None, None)
         self._seen.append(
             replace(

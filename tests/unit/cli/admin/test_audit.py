@@ -29,9 +29,11 @@ from vitac.server.competitions.sealing import seal
 from vitac.server.database.models import Evaluation, Notice, Team, Work, Worker
 from vitac.server.database.states import NoticeKind, Role, WorkerState, WorkKind
 from vitac.server.decisions.finishing import finalize
+from vitac.server.leaderboards.baselines import publish_human_baseline
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import appeal_replays, appeals
 from vitac.server.views.correspondence import AppealReplayView
+from vitac.training.demonstrations.hand_play import HandPlay
 
 from competitions import (
     PUBLIC_RANKING,
@@ -88,6 +90,8 @@ READS = {
 }
 CHANGES = {
     "backup": (["FILE"], "service.backup"),
+    "baseline publish": (["PLAYED"], "baseline.publish"),
+    "baseline remove": (["track_1", TASK, "--yes"], "baseline.remove"),
     "competition apply": (["COMPETITION", "--yes", "--confirm", PUBLIC_RANKING], "competition.apply"),
     "competition begin-trials": (["track_1", "stage1", "--yes"], "stage.plan_trials"),
     "competition play-final": (["track_1", "stage1", "--yes"], "stage.play_final"),
@@ -197,6 +201,12 @@ def there_is(service: CliService, name: str, tmp_path: Path) -> str:
     """What a placeholder stands for."""
     if name == "FILE":
         return str(tmp_path / "file.tar")
+    if name == "PLAYED":
+        played = HandPlay(TASK, tmp_path)
+        with played.storing() as path:
+            while played.end_reason is None:
+                played.step([0.0, 0.0, 0.0])
+        return str(path.parent)
     if name == "CSV":
         file = tmp_path / "teams.csv"
         file.write_text("name\nBears\n")
@@ -283,6 +293,8 @@ def prepare(service: CliService, command: str) -> None:
             submit(session, Principal(role=Role.TEAM, team_id=own.id, team_name=own.name))
             session.execute(update(Work).values(kind=WorkKind.TRIAL))
             put_in_place(session, moved(content, days=-300))
+        elif command == "baseline remove":
+            publish_human_baseline(session, CONSOLE, "track_1", TASK, [("cuboid", True, 4)])
         elif command == "competition play-final":
             content = open_now(sealed_competition(), stage=1)
             content["tracks"]["track_1"]["stages"][0]["sealed"] = "live_and_final"

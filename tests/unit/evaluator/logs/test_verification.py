@@ -65,7 +65,7 @@ def test_true_log_is_verified_with_the_score_and_hash_of_its_evaluation() -> Non
     verification = check()
     assert (verification.verdict, verification.divergence) == (VerificationResult.VERIFIED, None)
     assert verification.reason == "all states are equal"
-    assert verification.score == score(RECORDS)
+    assert verification.score == score(RECORDS, TASK.definition.measures)
     assert result_hash(verification.manifest, verification.records) == result_hash(HEADER.manifest, RECORDS)
 
 
@@ -189,7 +189,7 @@ def test_of_a_task_that_does_not_repeat_states_may_differ_but_no_outcome() -> No
     verification = check(with_record(2, state_hashes=hashes))
     assert verification.verdict is VerificationResult.WITHIN_TOLERANCE
     assert verification.reason == "the environment does not repeat to the last bit; all outcomes are equal"
-    assert verification.score == score(RECORDS)
+    assert verification.score == score(RECORDS, TASK.definition.measures)
     assert verification.records[1].state_hashes == RECORDS[1].state_hashes
     assert check().verdict is VerificationResult.VERIFIED
     for outcome in (EpisodeOutcome.SUCCESS, EpisodeOutcome.TACTILE, EpisodeOutcome.ERROR):
