@@ -100,10 +100,11 @@ _PLAYING_LIMITS: Final[dict[str, Any]] = {
     "workspace": {"x_mm": [-60, 15], "y_mm": [-15, 15], "z_mm": [-48, 0], "rotation_deg": [-20, 20]},
     "speed_mm_s": 5,
     "force_n": 60,
-    "torque_nm": 4,
+    "torque_nm": 12,
     "reading_s": 30.0,
     "heartbeat_s": 30.0,
 }
+"""The torque is that of the largest force at the lower end of the peg, 0.19 m below the sensor."""
 _PATIENCE: Final = 10.0
 """As with `reading_s` and `heartbeat_s`: its process shares cores with the station, and with whatever else runs."""
 _OVERVIEW_PERIOD_S: Final = 0.1
