@@ -115,7 +115,7 @@ STANDING_MM = 0.2
 
 def _position(info: InfoView) -> str:
     return (
-        f"grip {info['grip_force_n']:.1f} N, load {info['load_n']:.1f} N, height {signed(info['heights_mm'].min())} mm"
+        f"grip {info['grip_force_n']:z.1f} N, load {info['load_n']:.1f} N, height {signed(info['heights_mm'].min())} mm"
     )
 
 
