@@ -1,12 +1,12 @@
 """`vitac data`: collects demonstrations of an expert, and makes, checks and describes data sets of them."""
 
-import sys
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
+from .terminal.episode_counter import EpisodeCounter
 from .terminal.output import AsJson, Processes, Ray, existing, print_json, print_table
 from .terminal.stopping import stopped_by_signals
 
@@ -157,25 +157,3 @@ def card(
     from vitac.training.demonstrations.exporting import make_card_of
 
     print(make_card_of(folder))
-
-
-class EpisodeCounter:
-    """A line on a terminal that says how far a command is."""
-
-    def __enter__(self) -> "EpisodeCounter":
-        return self
-
-    def show_collected(self, task: str, wanted: int, episodes: int, successes: int) -> None:
-        """Show how many demonstrations there are."""
-        self._show(f"{task}: {successes} of {wanted} successes in {episodes} episodes")
-
-    def show_played(self, folder: Path, episodes: int) -> None:
-        """Show how many episodes were played again."""
-        self._show(f"{folder.name}: played {episodes} episodes again")
-
-    def __exit__(self, *_: object) -> None:
-        self._show("")
-
-    def _show(self, text: str) -> None:
-        if sys.stderr.isatty():
-            print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)

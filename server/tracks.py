@@ -52,14 +52,14 @@ def track_file(name: str) -> bytes:
     return further_track_files().get(known, Path(registry.__file__).with_name(f"{known}.yaml")).read_bytes()
 
 
-def require_task(track: Track, task: str) -> None:
-    """Refuse a task that a track does not have.
+def require_task(track: Track, task: str) -> Task:
+    """Return a task of a track, and refuse one that it does not have.
 
     Raises:
         ServiceError: with the tasks that it has.
     """
     try:
-        track.task(task)
+        return track.task(task)
     except UnknownTask as error:
         raise ServiceError(ProblemCode.UNKNOWN_TASK, str(error), tasks=list(track.tasks)) from error
 

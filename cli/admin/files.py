@@ -13,6 +13,7 @@ import typer
 from vitac.errors import VitacError
 
 from ..client.verbs import NOTHING_CHANGED, DryRun, Yes, print_fields
+from ..terminal.episode_counter import EpisodeCounter
 from ..terminal.output import AsJson, Processes, TokenFile, existing, print_json, print_record
 from .door import Server, open_door
 
@@ -125,8 +126,6 @@ def publish_baseline(
     """
     from vitac.training.demonstrations.collecting import DemonstrationKind
     from vitac.training.demonstrations.replaying import read_folder, replay
-
-    from ..data import EpisodeCounter
 
     source, demonstrations = read_folder(folder)
     felt = [each for each in demonstrations if each.kind is DemonstrationKind.HUMAN]

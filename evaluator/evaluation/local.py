@@ -11,7 +11,6 @@ from queue import SimpleQueue
 from typing import Self
 
 from pydantic import Field
-from vitac.envs.tasks.definition import Measure
 
 from ..agent.isolation.packages import policy_versions
 from ..agent.limits import Limits
@@ -27,7 +26,7 @@ from ..shards.order import OnCalibration, ShardEnd, ShardOrder, ShardResult
 from ..shards.process import ShardProcess, ShardProcesses
 from ..strict_model import StrictModel
 from ..submission_kinds import SubmissionKind
-from ..tracks import Task, Track
+from ..tracks import Task, Track, load_track
 from ..tracks.cut import ShardEpisodes, cut
 from .stored_shards import StoredShards
 
@@ -47,8 +46,6 @@ class LocalEvaluation:
     """Parts of the figures of the sensor; none where they were not asked for."""
     packages: Mapping[str, str] = field(default_factory=dict)
     """Versions by name of all that the policy could import; nothing if none of the folder loaded."""
-    measures: tuple[Measure, ...] = ()
-    """What the task measures, whose means are in the score."""
 
     @cached_property
     def failure(self) -> PolicyFailure | None:
@@ -58,7 +55,9 @@ class LocalEvaluation:
     @cached_property
     def score(self) -> Score | None:
         """The score; None if the policy failed."""
-        return None if self.failure else score(self.records, self.measures)
+        if self.failure:
+            return None
+        return score(self.records, load_track(self.manifest.track).task(self.manifest.task).definition.measures)
 
     @cached_property
     def result_hash(self) -> str | None:
@@ -147,7 +146,6 @@ def evaluate(
         coefficients=next((result.coefficients for result in pool.results if result.coefficients), None),
         figures=tuple(result.figures for result in pool.results if result.figures),
         packages=policy_versions(submission_dir, track.packages) if isolation else {},
-        measures=task.definition.measures,
     )
 
 

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 
 from sqlalchemy.orm import Session
 from vitac.evaluator.scoring.score import Rate, interval_of_mean, rate, rate_by_start
-from vitac.evaluator.tracks import Task, Track
+from vitac.evaluator.tracks import Track
 
 from ..audit import record
 from ..database.models import HumanBaseline
@@ -109,12 +109,12 @@ def publish_human_baseline(
         ServiceError: not an organizer, no such task, or a shape that it does not have.
     """
     by.require_organizer()
-    definition = _find_task(track, task)
-    strange = {shape for shape, _, _ in episodes} - {*definition.episode_list.shapes}
+    shapes = require_task(load_known_track(track), task).episode_list.shapes
+    strange = {shape for shape, _, _ in episodes} - {*shapes}
     if strange:
-        shapes = ", ".join(definition.episode_list.shapes)
         raise ServiceError(
-            ProblemCode.INVALID_REQUEST, f"Expected shapes of {task} ({shapes}), got {', '.join(sorted(strange))}."
+            ProblemCode.INVALID_REQUEST,
+            f"Expected shapes of {task} ({', '.join(shapes)}), got {', '.join(sorted(strange))}.",
         )
     row = session.get(HumanBaseline, (track, task))
     before = _summarize(row)
@@ -134,18 +134,12 @@ def remove_human_baseline(session: Session, by: Principal, track: str, task: str
         ServiceError: not an organizer, no such task, or nothing is published of it.
     """
     by.require_organizer()
-    _find_task(track, task)
+    require_task(load_known_track(track), task)
     row = session.get(HumanBaseline, (track, task))
     if row is None:
         raise ServiceError(ProblemCode.NOT_FOUND, f"No human baseline of {task} in {track} is published.")
     record(session, by, "baseline.remove", f"task:{track}/{task}", {}, before=_summarize(row))
     session.delete(row)
-
-
-def _find_task(track: str, task: str) -> Task:
-    known = load_known_track(track)
-    require_task(known, task)
-    return known.task(task)
 
 
 def _summarize(row: HumanBaseline | None) -> dict[str, int] | None:
@@ -180,12 +174,12 @@ def list_examples(track: Track, task: str | None) -> list[BaselineView]:
 def _human_view(row: HumanBaseline) -> BaselineView:
     steps = [env_steps for _, solved, env_steps in row.episodes if solved]
     mean_steps = fmean(steps) if steps else None
-    whole = _rate_of(row.episodes)
+    whole = _compute_rate(row.episodes)
     shapes = {shape: [one for one in row.episodes if one[0] == shape] for shape, _, _ in row.episodes}
     score = TaskRateView(
         task=row.task,
         mean_steps=mean_steps,
-        shapes=[ShapeScoreView(shape=shape, **_columns(_rate_of(of_shape))) for shape, of_shape in shapes.items()],
+        shapes=[ShapeScoreView(shape=shape, **_columns(_compute_rate(of_shape))) for shape, of_shape in shapes.items()],
         **_columns(whole),
     )
     return BaselineView(
@@ -200,7 +194,7 @@ def _human_view(row: HumanBaseline) -> BaselineView:
     )
 
 
-def _rate_of(episodes: Sequence[PlayedEpisode]) -> Rate:
+def _compute_rate(episodes: Sequence[PlayedEpisode]) -> Rate:
     return rate(sum(solved for _, solved, _ in episodes), len(episodes))
 
 

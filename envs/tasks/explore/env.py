@@ -59,7 +59,10 @@ class ExploreEnv(TactileTaskEnv[ExploreScene, ExploreSettings]):
         xy_mm = settings.random_xy_mm
         drawn = (x * xy_mm, y * xy_mm, angle * settings.random_angle_deg)
         wanted = options.get(END_POSE, drawn)
-        expected = "expected (x mm, y mm, angle deg) within 3 mm and 30 degrees either way"
+        xy_largest_mm, _, largest_deg = LARGEST_MM_DEG
+        expected = (
+            f"expected (x mm, y mm, angle deg) within {xy_largest_mm:g} mm and {largest_deg:g} degrees either way"
+        )
         values = numbers(self.env_id, END_POSE, wanted, 3, expected)
         if (np.abs(values) > LARGEST_MM_DEG).any():
             raise refusal(self.env_id, END_POSE, wanted, expected)

@@ -4,7 +4,6 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cache
 from math import degrees, isfinite, radians
-from typing import ClassVar
 
 import numpy as np
 
@@ -94,8 +93,6 @@ class InHandTurnSettings:
         markers: ranges of the marker grid.
     """
 
-    action_count: ClassVar[int] = len(TASK.actions)
-
     max_steps: int = 14
     action_scale_mm: tuple[float, ...] = TASK.action_scale
     tolerance_deg: float = TOLERANCE_DEG
@@ -108,8 +105,8 @@ class InHandTurnSettings:
     def __post_init__(self) -> None:
         require(self.max_steps >= 1, "max_steps", self.max_steps, "at least 1")
         scale = self.action_scale_mm
-        usable = len(scale) == self.action_count and all(isfinite(value) and 0 <= value <= 10 for value in scale)
-        require(usable, "action_scale_mm", scale, f"{self.action_count} numbers of 0 to 10")
+        usable = len(scale) == len(TASK.actions) and all(isfinite(value) and 0 <= value <= 10 for value in scale)
+        require(usable, "action_scale_mm", scale, "two numbers of 0 to 10")
         require(0 < self.tolerance_deg <= 90, "tolerance_deg", self.tolerance_deg, "0 to 90 degrees")
         require(0 < self.indentation_mm <= 2, "indentation_mm", self.indentation_mm, "0 to 2 mm, half the gel")
         check_quantities(self, (HELD,))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import Meshes
-from ...fem.model.mesh import PointLoad, PointMass, RigidBody, SurfaceMesh
+from ...fem.model.mesh import GEL_MATERIAL, PART_MATERIAL, PointLoad, PointMass, RigidBody, SurfaceMesh
 from ...geometry.bases import regular_hexagon_mm
 from ...geometry.solid import Polygon, prism_faces, rectangle, solid_from_faces
 from ...scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings, fixed_at_origin
@@ -113,7 +113,7 @@ class SlipSettings:
     def gel_friction(self) -> float:
         """Friction coefficient of the gels on the part."""
         pairs = self.physics.contact.pair_frictions  # type: ignore[union-attr]
-        return next(pair.coefficient for pair in pairs if {pair.first, pair.second} == {"gel", "part"})
+        return next(pair.coefficient for pair in pairs if {pair.first, pair.second} == {GEL_MATERIAL, PART_MATERIAL})
 
     @property
     def weight_n(self) -> float:
@@ -273,7 +273,7 @@ class SlipScene:
         return np.array([settings.part_mass_kg, settings.centre_of_mass_mm, settings.gel_friction, settings.load_n])
 
     def load_n(self, later_env_steps: int = 0) -> FloatArray:
-        """Return the load now, or so many env steps later [N], shape [1]."""
+        """Return the load now, or a number of env steps later [N], shape [1]."""
         settings = self._settings
         later_s = later_env_steps * settings.ipc_steps * settings.physics.time_step_s
         return np.array([self.load.at(self.grasped.time_s + later_s)])

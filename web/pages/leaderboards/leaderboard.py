@@ -9,7 +9,7 @@ from uuid import UUID
 from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
-from vitac.evaluator.ranking import MEAN_STEPS, SUBMITTED_AT, SUCCESS_RATE, RankingKey
+from vitac.evaluator.ranking import SUBMITTED_AT, SUCCESS_RATE
 from vitac.evaluator.tracks import Track
 from vitac.server.leaderboards.descriptions import descriptions_among
 from vitac.server.leaderboards.public_pages import public_among
@@ -207,7 +207,8 @@ def _dates(site: Site, board: LeaderboardView, own_names: Collection[str]) -> Fi
     ranked = [*all_ranked[:PLOTTED], *(entry for entry in all_ranked[PLOTTED:] if entry.team in own_names)]
     first = board.ranking.keys[0]
     ranked_by = SUCCESS_RATE if first == SUBMITTED_AT else first
-    values = [(entry, value) for entry in ranked if (value := _find_value(entry, ranked_by)) is not None]
+    read = ((entry, board.ranking.values(entry, entry.submitted_at).get(ranked_by.name)) for entry in ranked)
+    values = [(entry, value) for entry, value in read if value is not None]
     if len(values) < 2:
         return None
     own = next((entry.team for entry in ranked if entry.team in own_names), None)
@@ -221,12 +222,6 @@ def _dates(site: Site, board: LeaderboardView, own_names: Collection[str]) -> Fi
 
     found: Figure = site.plots.get((board.track, board.task, board.revision, own), make)
     return found
-
-
-def _find_value(entry: LeaderboardEntryView, key: RankingKey) -> float | None:
-    """Return the value of an entry by which its board compares first; None where it has none."""
-    usual = {SUCCESS_RATE.name: entry.success_rate, MEAN_STEPS.name: entry.mean_steps}
-    return {**entry.measures, **usual}.get(key.name)
 
 
 TEXT_LOGS = "text-logs"
