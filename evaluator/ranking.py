@@ -82,6 +82,11 @@ class Ranking(StrictModel):
         return tuple(_low_first(key.better, values.get(key.name)) for key in self.keys)
 
     @property
+    def compared_first(self) -> RankingKey:
+        """What plots show: the first key, or the success rate where the date comes first."""
+        return SUCCESS_RATE if self.keys[0] == SUBMITTED_AT else self.keys[0]
+
+    @property
     def measures(self) -> tuple[RankingKey, ...]:
         """The keys that not every score has."""
         return tuple(key for key in self.keys if key not in EVERY_SCORE_HAS)

@@ -82,13 +82,17 @@ flex-direction: column; justify-content: center; break-inside: avoid; }
 <h2>{{ names[board.track] }}, {{ stages[board.track, board.stage] }}</h2>
 <p>{{ board.ranking_rule }}</p>
 <table><thead><tr><th>Rank</th><th>Team</th><th>Success rate</th>
-<th>95 % interval</th><th>Mean env steps</th></tr></thead>
+<th>95 % interval</th><th>Mean env steps</th>
+{% for key in board.ranking.measures %}<th>{{ key.title }}</th>{% endfor %}</tr></thead>
 <tbody>
 {% for entry in board.entries %}
 <tr><td>{{ entry.rank or "-" }}</td><td>{{ entry.team }}</td><td>{{ "%.1f"|format(100 * entry.success_rate) }} %</td>
 <td>{{ "%.1f"|format(100 * entry.success_rate_interval[0]) }} to
 {{ "%.1f"|format(100 * entry.success_rate_interval[1]) }} %</td>
-<td>{{ "%.2f"|format(entry.mean_steps) if entry.mean_steps is not none else "-" }}</td></tr>
+<td>{{ "%.2f"|format(entry.mean_steps) if entry.mean_steps is not none else "-" }}</td>
+{% for key in board.ranking.measures %}
+<td>{{ "%.3g"|format(entry.measures[key.name]) if key.name in entry.measures else "-" }}</td>
+{% endfor %}</tr>
 {% endfor %}
 </tbody></table>
 {% endfor %}
@@ -144,7 +148,9 @@ def _json(
 
 
 def _csv(boards: Sequence[LeaderboardView]) -> str:
-    return csv_text([(*_COLUMNS, *_MORE), *(_row(board, entry) for board in boards for entry in board.entries)])
+    measures = dict.fromkeys(key.name for board in boards for key in board.ranking.measures)
+    rows = [(*_row(board, entry), *map(entry.measures.get, measures)) for board in boards for entry in board.entries]
+    return csv_text([(*_COLUMNS, *_MORE, *measures), *rows])
 
 
 def _row(board: LeaderboardView, entry: LeaderboardEntryView) -> list[object]:

@@ -7,10 +7,12 @@ from functools import cache
 from typing import Any
 from uuid import UUID
 
-from sqlalchemy import Select, Text, bindparam, func, select, tuple_
+from sqlalchemy import RowMapping, Select, Text, bindparam, func, select, tuple_
 from sqlalchemy.dialects.postgresql import ARRAY
 from sqlalchemy.orm import Session
+from vitac.evaluator.ranking import SUCCESS_RATE, RankingKey
 
+from ..competitions.competition import find_stage
 from ..database.models import ALL_TASKS, BoardResult, Evaluation, Submission, Team
 from ..principals import Principal
 from ..views.leaderboards import DatedRankView, LeaderboardEntryView, PastResultView, TeamRanksView
@@ -123,7 +125,23 @@ def past_results(session: Session, by: Principal, shown: Evaluation) -> list[Pas
         "evaluator_version": shown.evaluator_version,
         "at_most": MAX_RESULTS,
     }
-    return [PastResultView(**row) for row in session.execute(_results(), asked).mappings()]
+    stage = find_stage(session, submission)
+    compared = {task: stage.find_ranking(task).compared_first for task in submission.tasks}
+    found = session.execute(_results(), asked).mappings()
+    return [_past_result(row, compared[row["task"]]) for row in found]
+
+
+def _past_result(row: RowMapping, ranked_by: RankingKey) -> PastResultView:
+    values = row["ranked_by"]
+    return PastResultView(
+        task=row["task"],
+        submission_id=row["submission_id"],
+        submission_name=row["submission_name"],
+        submitted_at=row["submitted_at"],
+        success_rate=values[SUCCESS_RATE.name],
+        ranked_by=ranked_by,
+        value=values.get(ranked_by.name),
+    )
 
 
 @cache
@@ -137,7 +155,7 @@ def _results() -> Select[*tuple[Any, ...]]:
             BoardResult.submission_id,
             Submission.name.label("submission_name"),
             BoardResult.submitted_at,
-            BoardResult.ranked_by["success_rate"].as_float().label("success_rate"),
+            BoardResult.ranked_by,
         )
         .join(Submission, Submission.id == BoardResult.submission_id)
         .where(

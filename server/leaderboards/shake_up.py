@@ -10,34 +10,33 @@ from vitac.evaluator.scoring.score import CombinedScore, Interval, Score, interv
 from ..database.models import Evaluation, Submission
 from ..database.states import EvaluationState
 from ..evaluations.scores import combine_scores, read_scores
-from ..views.leaderboards import LeaderboardEntryView, ShakeUpView
+from ..views.leaderboards import LeaderboardEntryView, LeaderboardView, ShakeUpView
 
 
-def list_shake_up(
-    session: Session, entries: Sequence[LeaderboardEntryView], task: str | None = None
-) -> list[ShakeUpView]:
-    """Return the difference between both lists for each ranked entry of a final list, in the order of its board.
+def list_shake_up(session: Session, board: LeaderboardView, at_most: int) -> list[ShakeUpView]:
+    """Return the difference between both lists for the first ranked entries of a final list, in the order of its board.
 
     Args:
         session: of the transaction.
-        entries: of the board.
-        task: whose board; None: of all tasks together.
+        board: of the final list.
+        at_most: number of entries.
     """
-    ranked = [entry for entry in entries if entry.rank is not None]
-    live = _read_live(session, [entry.submission_id for entry in ranked], task)
+    ranked = [entry for entry in board.entries[:at_most] if entry.rank is not None]
+    live = _read_live(session, [entry.submission_id for entry in ranked], board.task)
     known = [(entry, live[entry.submission_id]) for entry in ranked if entry.submission_id in live]
-    by_live = sorted((rate.success_rate for _, rate in known), reverse=True)
+    places = [board.ranking.sort_key(board.ranking.values(score, entry.submitted_at)) for entry, score in known]
+    by_live = sorted(places)
     return [
         ShakeUpView(
             team=entry.team,
             submission_id=entry.submission_id,
-            live_rate=rate.success_rate,
+            live_rate=score.success_rate,
             final_rate=entry.success_rate,
-            interval=interval_of_difference(_read_final(entry), rate),
-            live_rank=1 + by_live.index(rate.success_rate),
+            interval=interval_of_difference(_read_final(entry), score),
+            live_rank=1 + by_live.index(place),
             final_rank=entry.rank or 0,
         )
-        for entry, rate in known
+        for (entry, score), place in zip(known, places, strict=True)
     ]
 
 

@@ -6,7 +6,7 @@ from uuid import UUID
 
 from pydantic import Field
 from vitac.evaluator.logs.findings import VerificationResult
-from vitac.evaluator.ranking import Ranking
+from vitac.evaluator.ranking import Ranking, RankingKey
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import ListKind
 
@@ -197,7 +197,9 @@ class ShakeUpView(View):
     live_rate: float
     final_rate: float
     interval: tuple[float, float] = Field(description="95 % interval of the final rate minus the live one.")
-    live_rank: int = Field(description="Its place among the submissions on the final board, by their live rates.")
+    live_rank: int = Field(
+        description="Its place among the submissions on the final board, by what they had reached on the live list."
+    )
     final_rank: int
 
 
@@ -224,3 +226,5 @@ class PastResultView(View):
     submission_name: str
     submitted_at: datetime
     success_rate: float
+    ranked_by: RankingKey = Field(description="What the board of the task compares first.")
+    value: float | None = Field(description="Of that; null where the result has none.")

@@ -101,8 +101,15 @@ def _rate(score: TaskScoreView | ShapeScoreView) -> tuple[object, ...]:
 
 def _history(detail: SubmissionDetail) -> Rows:
     for past in detail.past:
-        moment = past.submitted_at.isoformat()
-        yield past.task, str(past.submission_id), past.submission_name, moment, past.success_rate
+        yield (
+            past.task,
+            str(past.submission_id),
+            past.submission_name,
+            past.submitted_at.isoformat(),
+            past.success_rate,
+            past.ranked_by.name,
+            past.value,
+        )
 
 
 TABLES = (
@@ -118,7 +125,7 @@ TABLES = (
     ),
     SubmissionTable(
         name="history",
-        columns=("task", "submission_id", "submission", "submitted_at", "success_rate"),
+        columns=("task", "submission_id", "submission", "submitted_at", "success_rate", "ranked_by", "value"),
         rows=_history,
     ),
 )

@@ -9,7 +9,6 @@ from uuid import UUID
 from sqlalchemy.orm import Session
 from starlette.requests import Request
 from starlette.responses import Response
-from vitac.evaluator.ranking import SUBMITTED_AT, SUCCESS_RATE
 from vitac.evaluator.tracks import Track
 from vitac.server.leaderboards.descriptions import descriptions_among
 from vitac.server.leaderboards.public_pages import public_among
@@ -76,7 +75,7 @@ async def leaderboard(request: Request) -> Response:
         around = read_surroundings(session, site, track, asked, shown_stage=board.stage)
         ranks = shown_rank_history(session, by, track.name, task=task, stage=asked.stage, competition=asked.competition)
         described = descriptions_among(session, by, public)
-        shake_up = list_shake_up(session, board.entries[:PLOTTED], task) if board.list_sentence else []
+        shake_up = list_shake_up(session, board, PLOTTED) if board.list_sentence else []
         values = {"board": board, "shown": shown, "public": public, "described": described, "ranks": ranks}
         return {**values, "shake_up": shake_up, **around}
 
@@ -205,8 +204,7 @@ def _dates(site: Site, board: LeaderboardView, own_names: Collection[str]) -> Fi
     """Return the plot of what ranks entries against dates, cached until the board changes; None for a single one."""
     all_ranked = [entry for entry in board.entries if entry.rank is not None]
     ranked = [*all_ranked[:PLOTTED], *(entry for entry in all_ranked[PLOTTED:] if entry.team in own_names)]
-    first = board.ranking.keys[0]
-    ranked_by = SUCCESS_RATE if first == SUBMITTED_AT else first
+    ranked_by = board.ranking.compared_first
     read = ((entry, board.ranking.values(entry, entry.submitted_at).get(ranked_by.name)) for entry in ranked)
     values = [(entry, value) for entry, value in read if value is not None]
     if len(values) < 2:

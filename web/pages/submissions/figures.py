@@ -49,7 +49,7 @@ def figures(
     """
     if found.evaluation.state is not EvaluationState.COMPLETED:
         return {"plots": (), "history": ()}
-    reached = tuple((result.task, result.submission_id, result.success_rate) for result in past)
+    reached = tuple((result.task, result.submission_id, result.value) for result in past)
     return {
         "plots": site.plots.get(
             (found.evaluation.id, len(episodes)),
@@ -87,16 +87,16 @@ def _histories(found: SubmissionView, titles: dict[str, str], past: Sequence[Pas
     """Return the history of the team in each task in which it has more than one result."""
     shown = []
     for task in found.tasks:
-        rates = [
+        results = [(result, result.value) for result in past if result.task == task and result.value is not None]
+        points = [
             DatedValue(
                 name=result.submission_name,
                 at=result.submitted_at,
-                value=result.success_rate,
+                value=value,
                 own=result.submission_id == found.id,
             )
-            for result in past
-            if result.task == task
+            for result, value in results
         ]
-        if len(rates) > 1:
-            shown.append(values_by_date(f"history-{task}", titles[task], rates))
+        if len(points) > 1:
+            shown.append(values_by_date(f"history-{task}", titles[task], points, results[0][0].ranked_by))
     return shown

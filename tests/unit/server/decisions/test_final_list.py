@@ -18,6 +18,8 @@ from service_factories import (
 from service_factories import play as play_shard
 from sqlalchemy import select
 from submission_steps import SETTINGS, refused
+from vitac.envs.tasks.definition import Better
+from vitac.evaluator.ranking import SUBMITTED_AT, SUCCESS_RATE, Ranking
 from vitac.server.competitions.applying import apply
 from vitac.server.competitions.competition import Competition
 from vitac.server.competitions.definition import AT_ONCE_RUNS, CompetitionDefinition
@@ -171,10 +173,14 @@ def test_the_final_list_alone_decides_and_its_board_is_shown_first(
         assert ([entry.team for entry in board.entries], board.stage) == (["Cats", "Bees", "Ants"], FINAL)
         assert [entry.team for entry in live.entries] == ["Ants", "Bees", "Cats"]
         assert (board.list_sentence or "").startswith("This board shows the final list, which alone decides")
-        shaken = {one.team: one for one in list_shake_up(session, board.entries, TASK)}
+        of_task = leaderboard(session, shown_stage(session, TRACK), task=TASK).view
+        shaken = {one.team: one for one in list_shake_up(session, of_task, 50)}
         assert (shaken["Ants"].live_rank, shaken["Ants"].final_rank) == (1, 3)
         low, high = shaken["Ants"].interval
         assert low < 0.1 - 0.75 < high < 0
+        fewest = Ranking(keys=(SUCCESS_RATE.model_copy(update={"better": Better.LOW}), SUBMITTED_AT))
+        other = list_shake_up(session, of_task.model_copy(update={"ranking": fewest}), 50)
+        assert {one.team: one.live_rank for one in other} == {"Cats": 1, "Bees": 2, "Ants": 3}
         (winner,) = finalize(session, CONSOLE, confirmed=None)
         assert winner.team == "Cats"
 

@@ -1,11 +1,16 @@
 """Boards by other keys than the usual ones, as a competition's file may say."""
 
-from service_factories import TASK, TRACK, make_principal, make_score, submit_scored
+import csv
+
+from service_factories import LOCK, TASK, TRACK, make_principal, make_score, submit_scored
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.server.competitions.applying import apply
 from vitac.server.competitions.definition import CompetitionDefinition
 from vitac.server.database.engine import Database
+from vitac.server.database.models import Evaluation
+from vitac.server.decisions.publishing import result_files
 from vitac.server.evaluations.logs import LogClaim
+from vitac.server.leaderboards.history import past_results
 from vitac.server.leaderboards.log_boards import log_boards
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.principals import CONSOLE
@@ -57,7 +62,9 @@ def test_results_move_where_the_file_is_applied_with_another_ranking(database: D
         with database.transaction() as session:
             measures = {"surface_diff_mm": 0.1 * successes}
             scored = make_score(successes, mean_steps=steps).model_copy(update={"measures": measures})
-            submit_scored(session, make_principal(session, f"Team {name}"), name, {TASK: scored}, at=OPENS)
+            submit_scored(
+                session, make_principal(session, f"Team {name}"), name, {TASK: scored, LOCK: scored}, at=OPENS
+            )
 
     def read_names() -> list[str]:
         with database.transaction() as session:
@@ -81,3 +88,9 @@ def test_results_move_where_the_file_is_applied_with_another_ranking(database: D
         assert [key.title for key in view.ranking.measures] == ["Surface [mm]"]
         assert view.entries[0].measures == {"surface_diff_mm": 0.0}
         assert view.ranking_rule.startswith("First comes lower mean motion of a sensing surface since the grasp; then")
+        files, evaluation = result_files(session), session.get_one(Evaluation, view.entries[1].evaluation_id)
+        rows = [row for row in csv.DictReader(files["results.csv"].splitlines()) if row["track"] == TRACK]
+        assert [(row["team"], row["surface_diff_mm"]) for row in rows[:2]] == [("Team D", "0.0"), ("Team A", "5.0")]
+        assert "<th>Surface [mm]</th>" in files["results.html"]
+        past, *_ = past_results(session, CONSOLE, evaluation)
+        assert (past.success_rate, past.ranked_by.name, past.value) == (0.5, "surface_diff_mm", 5.0)
