@@ -162,12 +162,12 @@ def _pairs(sides: Sequence[Evaluated]) -> list[Row]:
     """Return a row for each pair of sides and task, whose p-values are adjusted for the number of pairs in the task."""
     from vitac.evaluator.scoring.comparison import adjust_p_values
 
-    found: dict[str, list[tuple[Evaluated, Evaluated, Comparison]]] = {}
+    by_task: dict[str, list[tuple[Evaluated, Evaluated, Comparison]]] = {}
     for one, other in combinations(sides, 2):
         for task, comparison in _compared(one, other).items():
-            found.setdefault(task, []).append((one, other, comparison))
+            by_task.setdefault(task, []).append((one, other, comparison))
     rows = []
-    for task, compared in sorted(found.items()):
+    for task, compared in sorted(by_task.items()):
         adjusted = adjust_p_values([comparison.p_value for _, _, comparison in compared])
         rows += [
             {
@@ -279,14 +279,14 @@ def _compared(one: Evaluated, other: Evaluated) -> dict[str, Comparison]:
         raise OtherEpisodes(f"Expected two evaluations of one track, got {one.track} and {other.track}.")
     if None not in (one.list_hash, other.list_hash) and one.list_hash != other.list_hash:
         raise OtherEpisodes(f"Expected two evaluations of one list, got {one.list_hash} and {other.list_hash}.")
-    found = compare_tasks(one.episodes, other.episodes)
-    for pair in (pair for comparison in found.values() for pair in comparison.pairs):
+    by_task = compare_tasks(one.episodes, other.episodes)
+    for pair in (pair for comparison in by_task.values() for pair in comparison.pairs):
         if find_start(pair.first) != find_start(pair.second):
             raise OtherEpisodes(
                 f"Expected two evaluations of one list, got {_describe_start(pair.first)} and "
                 f"{_describe_start(pair.second)} in episode {pair.first.episode} of {pair.first.task}."
             )
-    return found
+    return by_task
 
 
 def _describe_start(end: FinishedEpisode) -> str:

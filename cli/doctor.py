@@ -22,24 +22,24 @@ def command(
     from vitac.evaluator.agent.self_test import is_safe, run
 
     os.environ.setdefault(FILES_VARIABLE, FileIsolation.MEMORY)  # as workers do
-    found = requirements()
-    can_run = all(requirement.is_met for requirement in found if requirement.is_needed)
+    needed = requirements()
+    can_run = all(requirement.is_met for requirement in needed if requirement.is_needed)
     if not as_json:
-        _print_requirements(found)
+        _print_requirements(needed)
     outcomes = _run_attacks(run(), shown=not as_json) if can_run else []
     safe = can_run and is_safe(outcomes)
     if as_json:
-        _print_json(found, outcomes, safe=safe)
+        _print_json(needed, outcomes, safe=safe)
     else:
         print(_conclusion(outcomes, can_run=can_run, safe=safe))
     if not safe:
         raise typer.Exit(1)
 
 
-def _print_requirements(found: "list[Requirement]") -> None:
-    rows = [(item.name, _state(item), item.found) for item in found]
+def _print_requirements(needed: "list[Requirement]") -> None:
+    rows = [(item.name, _state(item), item.found) for item in needed]
     print_table(("machine", "state", "found"), rows, none="")
-    for item in found:
+    for item in needed:
         if item.remedy:
             print(f"  {item.name}: {item.remedy.removesuffix('.')}.")
     print()
@@ -81,11 +81,11 @@ def _conclusion(outcomes: "list[Outcome]", *, can_run: bool, safe: bool) -> str:
     return f"\nNOT SAFE: {names}. Do not run other people's submissions on this machine."
 
 
-def _print_json(found: "list[Requirement]", outcomes: "list[Outcome]", *, safe: bool) -> None:
+def _print_json(needed: "list[Requirement]", outcomes: "list[Outcome]", *, safe: bool) -> None:
     print_json(
         {
             "safe": safe,
-            "machine": [asdict(requirement) for requirement in found],
+            "machine": [asdict(requirement) for requirement in needed],
             "probes": [asdict(outcome) for outcome in outcomes],
         }
     )

@@ -340,9 +340,9 @@ def _print_forces(forces: "ForceSummary") -> None:
     from .terminal.output import print_table
 
     rows = [
-        (name, f"{found.peak_n:.1f}", f"{found.p95_n:.1f}", f"{found.impulse_n_s:.1f}")
-        for name, found in (("the held part", forces.part), ("a gel", forces.gel))
-        if found is not None
+        (name, f"{summary.peak_n:.1f}", f"{summary.p95_n:.1f}", f"{summary.impulse_n_s:.1f}")
+        for name, summary in (("the held part", forces.part), ("a gel", forces.gel))
+        if summary is not None
     ]
     print_table(("median force on", "peak [N]", "95th percentile [N]", "impulse [N s]"), rows, none="")
     print(

@@ -123,8 +123,8 @@ def _check_text_log(log: Path, *, json: bool) -> None:
     _progress("")
     summary, count = check.summary, len(check.tests)
     if json:
-        found = {"successes": check.successes, "same_ends": check.same_ends, "is_consistent": check.is_consistent}
-        print_json(check.model_dump(mode="json") | found)
+        verdict = {"successes": check.successes, "same_ends": check.same_ends, "is_consistent": check.is_consistent}
+        print_json(check.model_dump(mode="json") | verdict)
     else:
         print(CANNOT_BE_VERIFIED)
         print(f"{check.task} of {check.track}, team {summary.team}: {count} tests, {check.missing_tests} missing")

@@ -94,8 +94,10 @@ def print_report(report: "RehearsalReport") -> None:
     """Print how often each outcome occurred, and the rate of what counts."""
     if report.twin:
         print(f"{report.station} is {report.twin}.")
-    found = Counter(trial.outcome for trial in report.trials)
-    rows = [(outcome, count, "yes" if outcome.counts else "no", outcome.sentence) for outcome, count in found.items()]
+    outcomes = Counter(trial.outcome for trial in report.trials)
+    rows = [
+        (outcome, count, "yes" if outcome.counts else "no", outcome.sentence) for outcome, count in outcomes.items()
+    ]
     print_table(("outcome", "trials", "counts", "meaning"), rows, none="")
     if report.rate:
         low, high = report.rate.interval.low, report.rate.interval.high

@@ -12,21 +12,21 @@ def command(as_json: AsJson = False) -> None:
     """Print what a policy finds in the sandbox: Python, packages, BLAS, threads, CPU."""
     from vitac.evaluator.agent.description import describe_sandbox
 
-    found = describe_sandbox()
+    description = describe_sandbox()
     if as_json:
-        print_json(found.model_dump())
+        print_json(description.model_dump())
         return
-    print_table(("what", "found"), facts(found), none="")
+    print_table(("what", "found"), facts(description), none="")
     print()
-    print_table(("package", "version"), list(found.packages.items()), none="")
+    print_table(("package", "version"), list(description.packages.items()), none="")
 
 
-def facts(found: "SandboxDescription") -> list[tuple[str, str]]:
+def facts(description: "SandboxDescription") -> list[tuple[str, str]]:
     """Return what is no package, as rows."""
     return [
-        ("Python", found.python),
-        ("C library", found.c_library),
-        ("CPU", f"{found.machine} with {', '.join(found.simd) or 'no vector extensions'}"),
-        ("BLAS of NumPy", found.blas),
-        *found.threads.items(),
+        ("Python", description.python),
+        ("C library", description.c_library),
+        ("CPU", f"{description.machine} with {', '.join(description.simd) or 'no vector extensions'}"),
+        ("BLAS of NumPy", description.blas),
+        *description.threads.items(),
     ]

@@ -35,13 +35,13 @@ def verify(
     """
     from vitac.evaluator.tracks.sealed import load_played_track, make_commitment, read_secret
 
-    found = read_secret(secret)
-    agrees = make_commitment(found) == commitment.strip().lower()
-    tasks = load_played_track(track, found).tasks
+    read = read_secret(secret)
+    agrees = make_commitment(read) == commitment.strip().lower()
+    tasks = load_played_track(track, read).tasks
     digests = {name: task.digest() for name, task in tasks.items()}
     if as_json:
-        print_json({"agrees": agrees, "commitment": make_commitment(found), "track": track, "task_hashes": digests})
+        print_json({"agrees": agrees, "commitment": make_commitment(read), "track": track, "task_hashes": digests})
     else:
-        print_pairs({"commitment": make_commitment(found), "agrees": "yes" if agrees else "no", **digests})
+        print_pairs({"commitment": make_commitment(read), "agrees": "yes" if agrees else "no", **digests})
     if not agrees:
         raise typer.Exit(1)

@@ -33,12 +33,12 @@ def check(sensor: FolderOrStl, as_json: AsJson = False) -> None:
     from .terminal.compiling import compiling_shown
 
     with compiling_shown():
-        found = check_sensor(sensor)
+        checked = check_sensor(sensor)
     if as_json:
-        print_json({"ok": found.ok, "digest": _digest(found), "findings": [asdict(it) for it in found.findings]})
+        print_json({"ok": checked.ok, "digest": _digest(checked), "findings": [asdict(it) for it in checked.findings]})
     else:
-        _print_findings(found)
-    if not found.ok:
+        _print_findings(checked)
+    if not checked.ok:
         raise typer.Exit(1)
 
 
@@ -70,11 +70,11 @@ def mesh(
         _mesh_with_ftetwild(sensor, as_json=as_json)
         return
     with compiling_shown():
-        found = accepted_sensor(sensor)
-        assert found.meshed is not None  # noqa: S101 - of every accepted sensor
-        assert found.design is not None  # noqa: S101
-        meshed = found.meshed
-        error = continuum_error(found.design)
+        checked = accepted_sensor(sensor)
+        assert checked.meshed is not None  # noqa: S101 - of every accepted sensor
+        assert checked.design is not None  # noqa: S101
+        meshed = checked.meshed
+        error = continuum_error(checked.design)
     facts = {
         "digest": meshed.digest,
         "mesh": "tet.msh" if meshed.is_own else "generated",
@@ -127,9 +127,9 @@ def show(
     if destination.format is not destination.format.PNG:
         raise typer.BadParameter("expected FILE.png.", param_hint="--out")
     with compiling_shown():
-        found = accepted_sensor(sensor)
-    assert found.design is not None  # noqa: S101 - of every accepted sensor
-    picture = draw_design(found.design, title=sensor.resolve().name, width_px=width)
+        checked = accepted_sensor(sensor)
+    assert checked.design is not None  # noqa: S101 - of every accepted sensor
+    picture = draw_design(checked.design, title=sensor.resolve().name, width_px=width)
     for path in destination.write([Frame(picture=picture, name="sensor")]):
         print(path)
 
@@ -180,7 +180,7 @@ def evaluate(
         EpisodesProgress(2 * len(numbers or find_task(_STANDARD)[1].episodes)) as progress,
         compiling_shown(progress.bar),
     ):
-        found = evaluate_sensor(
+        result = evaluate_sensor(
             sensor,
             episodes=numbers,
             workers=workers or count_cores(),
@@ -190,7 +190,7 @@ def evaluate(
             on_step=progress.describe,
             on_calibration=progress.count,
         )
-    report = found.report()
+    report = result.report()
     if json:
         json.write_text(report.model_dump_json(indent=1) + "\n", encoding="utf-8")
     _print_report(report)
@@ -245,8 +245,8 @@ def _print_report(report: "SensorReport") -> None:
         print(f"result hash of {run.task} {run.result_hash}")
 
 
-def _digest(found: "CheckedSensor") -> str | None:
-    return None if found.meshed is None else found.meshed.digest
+def _digest(checked: "CheckedSensor") -> str | None:
+    return None if checked.meshed is None else checked.meshed.digest
 
 
 def _verdict(finding: "Finding") -> str:
@@ -255,12 +255,14 @@ def _verdict(finding: "Finding") -> str:
     return "warning" if finding.is_warning else "ok"
 
 
-def _print_findings(found: "CheckedSensor") -> None:
-    rows = [(_verdict(it), str(it.rule), it.value, it.limit) for it in found.findings]
+def _print_findings(checked: "CheckedSensor") -> None:
+    rows = [(_verdict(it), str(it.rule), it.value, it.limit) for it in checked.findings]
     print_table(("", "rule", "value", "limit"), rows, none="")
-    for finding in found.findings:
+    for finding in checked.findings:
         if finding.is_warning or not finding.ok:
             print(f"{finding.rule}: {finding.problem}")
     print(
-        f"The sensor follows all rules. Mesh digest {_digest(found)}" if found.ok else "This sensor would be refused."
+        f"The sensor follows all rules. Mesh digest {_digest(checked)}"
+        if checked.ok
+        else "This sensor would be refused."
     )

@@ -38,16 +38,16 @@ def check(
     from vitac.station.description import read_description
 
     description = read_description(file)
-    found = list(check_station(description))
+    checks = list(check_station(description))
     if as_json:
-        print_json({"station": description.name, "devices": [asdict(each) for each in found]})
+        print_json({"station": description.name, "devices": [asdict(each) for each in checks]})
     else:
-        rows = [(each.device, "refused" if each.problems else "ok") for each in found]
+        rows = [(each.device, "refused" if each.problems else "ok") for each in checks]
         print_table(("device", "state"), rows, none="")
-        for each in found:
+        for each in checks:
             for problem in each.problems:
                 print(f"{each.device}, {problem.rule}: {problem.sentence}")
-    if any(each.problems for each in found):
+    if any(each.problems for each in checks):
         raise typer.Exit(1)
 
 

@@ -114,15 +114,15 @@ def search(recipe: RecipeFile, out: RunFolder, processes: Processes = 1, as_json
         recipe=read_search_recipe(recipe), folder=Folder(path=out), processes=processes, tell=_tell
     )
     with _training(out):
-        found = searching.go()
+        generations = searching.go()
     rows = {
         f"generation {each.number}": f"{format_rate(each.solved)}, {each.mean_env_steps:.2f} env steps"
-        for each in found
+        for each in generations
     }
     if as_json:
-        print_json({"generations": rows, "best": best(found).number})
+        print_json({"generations": rows, "best": best(generations).number})
     else:
-        print_pairs({**rows, "best": f"generation {best(found).number}", "submission": out / "submission"})
+        print_pairs({**rows, "best": f"generation {best(generations).number}", "submission": out / "submission"})
 
 
 @app.command()
@@ -193,15 +193,15 @@ def curves(
     from vitac.training.curves import draw_curves, make_page, read_curves, write_curves
     from vitac.training.files import write_text
 
-    found = read_curves(runs)
-    tasks = {task: list(of_task) for task, of_task in groupby(found, key=lambda curve: curve.task)}
-    page = make_page(found, {task: f"{task}.svg" for task in tasks})
+    read = read_curves(runs)
+    tasks = {task: list(of_task) for task, of_task in groupby(read, key=lambda curve: curve.task)}
+    page = make_page(read, {task: f"{task}.svg" for task in tasks})
     if to is None:
         print(page)
         return
     for task, of_task in tasks.items():
         write_text(to / f"{task}.svg", draw_curves(of_task))
-    write_text(to / "curves.json", write_curves(found))
+    write_text(to / "curves.json", write_curves(read))
     write_text(to / "README.md", page)
     print(to / "README.md")
 

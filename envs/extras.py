@@ -70,12 +70,12 @@ def explain_missing(module: str, extra: str, user: str = "This command") -> str:
 
 def _requirements() -> dict[str, list[str]]:
     """Return what each extra installs, without that of developers."""
-    found: dict[str, list[str]] = {}
+    by_extra: dict[str, list[str]] = {}
     for line in requires("vitac-arena") or ():
         requirement, _, marker = line.partition(";")
         if (extra := re.search(r"extra == ['\"](.+?)['\"]", marker)) and extra[1] not in ("dev", "compat"):
-            found.setdefault(extra[1], []).append(requirement.strip())
-    return found
+            by_extra.setdefault(extra[1], []).append(requirement.strip())
+    return by_extra
 
 
 def _name(requirement: str) -> str:

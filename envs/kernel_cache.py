@@ -127,9 +127,9 @@ class CompileProgress:
         with suppress(OSError):
             lock = os.open(folder / LOCK_FILE, os.O_RDONLY | os.O_CLOEXEC)
             try:
-                found = _TEXT.fullmatch(os.pread(lock, 100, 0).decode("ascii", "replace"))
-                if found and _is_own(int(found[3])) and _is_held(lock):
-                    return cls(compiled=int(found[1]), kernels=int(found[2]))
+                match = _TEXT.fullmatch(os.pread(lock, 100, 0).decode("ascii", "replace"))
+                if match and _is_own(int(match[3])) and _is_held(lock):
+                    return cls(compiled=int(match[1]), kernels=int(match[2]))
             finally:
                 os.close(lock)
         return None

@@ -258,9 +258,9 @@ def explain(model: type[BaseModel], error: ValidationError, written: Written = l
         error: of its validation.
         written: how a scalar was written.
     """
-    found = error.errors(include_url=False)
-    inside = {each["loc"][:n] for each in found for n in range(len(each["loc"]))}
-    problems = [each for each in found if each["loc"] not in inside]
+    errors = error.errors(include_url=False)
+    inside = {each["loc"][:n] for each in errors for n in range(len(each["loc"]))}
+    problems = [each for each in errors if each["loc"] not in inside]
     more = f" And {len(problems) - _TOLD_PROBLEMS} more." if len(problems) > _TOLD_PROBLEMS else ""
     sentences = (_sentence(model, dict(problem), written) for problem in problems[:_TOLD_PROBLEMS])
     return " ".join(sentences) + more

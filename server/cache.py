@@ -24,10 +24,10 @@ class Cache(Generic[KeyT, ValueT]):
     def find(self, key: KeyT) -> ValueT | None:
         """Return the value under a key; None where it is not cached."""
         with self._lock:
-            found = self._values.get(key)
-            if found is not None:
+            kept = self._values.get(key)
+            if kept is not None:
                 self._values.move_to_end(key)
-            return found
+            return kept
 
     def keep(self, key: KeyT, value: ValueT) -> None:
         """Keep a value that was made with others."""

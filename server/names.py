@@ -138,7 +138,7 @@ def _find_original(character: str) -> str:
     form = None if character.isascii() else _LATIN_FORM.fullmatch(unicodedata.name(character, ""))
     if form is not None:
         return form[2].lower() if form[1] == "SMALL" else form[2]
-    alike: list[str] = [found["c"].strip("\u200e") for found in confusables_data.get(character, ())]
+    alike: list[str] = [candidate["c"].strip("\u200e") for candidate in confusables_data.get(character, ())]
     if len(alike) != 1:  # it stands for others, or nothing looks like it
         return character
     return alike[0] if len(confusables_data.get(alike[0], ())) > 1 else min(alike[0], character)

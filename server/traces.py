@@ -58,17 +58,17 @@ def current_traceparent() -> str | None:
 @contextmanager
 def span(name: str, traceparent: str | None, attributes: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """Send a span of the block, in a trace if there is one; values put into what is yielded become attributes."""
-    found: dict[str, Any] = {}
+    later: dict[str, Any] = {}
     if not are_asked_for():
-        yield found
+        yield later
         return
     from opentelemetry.trace.propagation.tracecontext import TraceContextTextMapPropagator
 
     parent = TraceContextTextMapPropagator().extract({"traceparent": traceparent} if traceparent else {})
     tracer = _provider().get_tracer("vitac")
     with tracer.start_as_current_span(name, context=parent, attributes=attributes) as started:
-        yield found
-        started.set_attributes(found)
+        yield later
+        started.set_attributes(later)
 
 
 @cache

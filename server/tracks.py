@@ -85,8 +85,8 @@ def known_track(name: str) -> Track | None:
 
 def known_task(track: str, task: str) -> Task | None:
     """Return a task by the name stored with a submission; None where its track file is gone or no longer has it."""
-    found = known_track(track)
-    return found.tasks.get(task) if found is not None else None
+    definition = known_track(track)
+    return definition.tasks.get(task) if definition is not None else None
 
 
 def track_views(settings: Settings) -> TrackListView:

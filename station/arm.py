@@ -54,14 +54,14 @@ class Arm:
         self._guard.wait()
 
     def go_until(
-        self, target: Pose, speed_mm_s: float, found: Callable[[SensorReading, Pose], bool]
+        self, target: Pose, speed_mm_s: float, is_reached: Callable[[SensorReading, Pose], bool]
     ) -> SensorReading | None:
         """Move there until something is found, and return what was seen then; None if it was not found."""
         self.start(target, speed_mm_s)
         while True:
             sight, status = self._station.eyes.see(), self._station.stage.status()
             self._guard.check_released()
-            if found(sight, status.pose):
+            if is_reached(sight, status.pose):
                 self._guard.end_motion()
                 return sight
             if not status.is_moving:

@@ -81,9 +81,9 @@ def check_station(description: StationDescription) -> Iterator[DeviceCheck]:
     if description.overview is not None:
         devices["overview camera"] = _check_overview(description.overview, description.patience)
     for device, problems in devices.items():
-        found = DeviceCheck(device=device, problems=tuple(_until_failure(problems)))
-        yield found
-        if any(problem.rule is DeviceRule.FREE for problem in found.problems):
+        checked = DeviceCheck(device=device, problems=tuple(_until_failure(problems)))
+        yield checked
+        if any(problem.rule is DeviceRule.FREE for problem in checked.problems):
             return
 
 
@@ -111,10 +111,10 @@ def _check_tactile_camera(description: StationDescription, camera: TactileCamera
     with cameras.GelSightCamera(camera.serial_number, stream=camera.stream, patience=patience) as opened:
         for _ in range(DROPPED_PICTURES):
             opened.read()
-        found, expected = len(find_markers(cut_picture(opened.read()))), camera.calibration.markers
-    if found < _FOUND_MARKERS * expected and not _holds_part(description):
+        seen, expected = len(find_markers(cut_picture(opened.read()))), camera.calibration.markers
+    if seen < _FOUND_MARKERS * expected and not _holds_part(description):
         yield _calibration(
-            f"Expected {expected} markers on the gel, got {found}. Clean it, or replace and calibrate it."
+            f"Expected {expected} markers on the gel, got {seen}. Clean it, or replace and calibrate it."
         )
 
 
@@ -227,13 +227,13 @@ def _check_calibration(serial_number: str, calibration: Calibration) -> Iterator
         )
 
 
-def _check_identity(found: Identity, serial_number: str, firmware: str) -> Iterator[Problem]:
-    if found.serial_number != serial_number:
-        sentence = f"Expected serial number {serial_number}, got {found.serial_number}. Plug in the right device."
+def _check_identity(identity: Identity, serial_number: str, firmware: str) -> Iterator[Problem]:
+    if identity.serial_number != serial_number:
+        sentence = f"Expected serial number {serial_number}, got {identity.serial_number}. Plug in the right device."
         yield Problem(rule=DeviceRule.SERIAL_NUMBER, sentence=sentence)
-    if found.firmware != firmware:
+    if identity.firmware != firmware:
         sentence = (
-            f"Expected firmware {firmware}, got {found.firmware}. Try it with the new one, then correct the file."
+            f"Expected firmware {firmware}, got {identity.firmware}. Try it with the new one, then correct the file."
         )
         yield Problem(rule=DeviceRule.FIRMWARE, sentence=sentence)
 

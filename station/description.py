@@ -321,8 +321,10 @@ def make_station_track(
     source, name = _NAMES[task]
     simulated = load_track(source)
     played = simulated.tasks[task]
-    found = dict.fromkeys((start.shape, start.offset) for start in played.episode_list.starts if start.shape == shape)
-    chosen = list(found)[:starts]
+    distinct = dict.fromkeys(
+        (start.shape, start.offset) for start in played.episode_list.starts if start.shape == shape
+    )
+    chosen = list(distinct)[:starts]
     own: dict[str, Any] = played.model_dump(mode="json", exclude_defaults=True, exclude={"name_2025", "profiles"})
     own |= {"name": f"{task}-station", "title": f"{played.title} on a station", "station_of": str(task)}
     own["shard_size"] = 1

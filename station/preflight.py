@@ -100,12 +100,12 @@ def _measure_gels(station: OpenStation) -> Iterator[PreflightFinding]:
     sight, description = station.eyes.see(), station.description
     sides = {"Left": (sight.left, description.left), "Right": (sight.right, description.right)}
     for side, (flow, camera) in sides.items():
-        found, markers = len(flow.current), camera.calibration.markers
+        seen, markers = len(flow.current), camera.calibration.markers
         yield PreflightFinding(
             name=f"{side} gel",
-            value=f"{found} markers",
+            value=f"{seen} markers",
             limit=f"at least {_FOLLOWED_MARKERS:.0%} of {markers} markers",
-            is_good=found >= _FOLLOWED_MARKERS * markers,
+            is_good=seen >= _FOLLOWED_MARKERS * markers,
             remedy="Clean it, or replace and calibrate it.",
         )
 

@@ -166,9 +166,9 @@ def refuse_wrong_devices(description: StationDescription) -> None:
     Raises:
         StationRefused: a sentence for each thing that is wrong.
     """
-    found = [(each.device, problem.sentence) for each in check_station(description) for problem in each.problems]
-    if found:
-        raise StationRefused(" ".join(f"{device}: {sentence}" for device, sentence in found))
+    problems = [(each.device, problem.sentence) for each in check_station(description) for problem in each.problems]
+    if problems:
+        raise StationRefused(" ".join(f"{device}: {sentence}" for device, sentence in problems))
 
 
 def _start_twin(task: StationTask) -> "AbstractContextManager[RunningTwin]":

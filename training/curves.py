@@ -69,8 +69,8 @@ def read_curves(paths: Iterable[Path]) -> list[Curve]:
     Raises:
         NoCurve: one is neither, or has no evaluation yet.
     """
-    found = {(*curve.group, curve.seed): curve for path in paths for curve in _read(path)}
-    return [found[key] for key in sorted(found)]
+    by_run = {(*curve.group, curve.seed): curve for path in paths for curve in _read(path)}
+    return [by_run[key] for key in sorted(by_run)]
 
 
 def write_curves(curves: Sequence[Curve]) -> str:
@@ -155,8 +155,8 @@ def _method(name: str, recipe: Mapping[str, Any]) -> str:
     )
 
 
-def _point(env_steps: int, found: Mapping[str, Any]) -> Point:
-    return Point(env_steps=env_steps, successes=found["successes"], episodes=found["episodes"])
+def _point(env_steps: int, row: Mapping[str, Any]) -> Point:
+    return Point(env_steps=env_steps, successes=row["successes"], episodes=row["episodes"])
 
 
 def make_page(curves: Sequence[Curve], pictures: Mapping[str, str]) -> str:
@@ -195,8 +195,8 @@ def _rows(seeds: Sequence[Curve]) -> Iterator[str]:
         yield f"| `{seeds[0].method}` | {len(seeds)} | {env_steps:,} | {_percent(rates)} | {each} |\n"
 
 
-def _percent(found: Sequence[tuple[int, int]]) -> str:
-    rates = [rate(*each) for each in found]
+def _percent(counts: Sequence[tuple[int, int]]) -> str:
+    rates = [rate(*each) for each in counts]
     mean, interval = sum(each.success_rate for each in rates) / len(rates), interval_of_seeds(rates)
     return f"{100 * mean:.1f} [{100 * interval.low:.1f}, {100 * interval.high:.1f}]"
 

@@ -58,16 +58,16 @@ class Episodes:
     @property
     def last(self) -> NDArray[np.bool_]:
         """Whether each action is the last of its episode, shape [a]."""
-        found = np.zeros(len(self.actions), dtype=np.bool_)
-        found[np.cumsum(self.lengths) - 1] = True
-        return found
+        ends = np.zeros(len(self.actions), dtype=np.bool_)
+        ends[np.cumsum(self.lengths) - 1] = True
+        return ends
 
     @property
     def reached(self) -> NDArray[np.bool_]:
         """Whether each action led to success, shape [a]."""
-        found = np.zeros(len(self.actions), dtype=np.bool_)
-        found[np.cumsum(self.lengths) - 1] = self.solved
-        return found
+        ends = np.zeros(len(self.actions), dtype=np.bool_)
+        ends[np.cumsum(self.lengths) - 1] = self.solved
+        return ends
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return all arrays by name."""

@@ -119,9 +119,9 @@ def load(path: Path) -> Arrays:
 
 def digest(arrays: Mapping[str, NDArray[Any]]) -> str:
     """Return the SHA-256 [hex] of arrays with their names, types and shapes."""
-    found = hashlib.sha256()
+    hasher = hashlib.sha256()
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
-        found.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
-        found.update(array.tobytes())
-    return found.hexdigest()
+        hasher.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
+        hasher.update(array.tobytes())
+    return hasher.hexdigest()

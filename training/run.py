@@ -185,10 +185,10 @@ class Run:
         return RoundResult(number=number, student=rates[0], critic=rates[1], env_steps=env_steps)
 
     def _tell_round(self, result: RoundResult, left: str) -> None:
-        found = (
+        sentence = (
             f"student {format_rate(result.student)}, critic {format_rate(result.critic)}, {result.env_steps} env steps"
         )
-        self.tell(f"round {result.number} of {self.recipe.rounds}: {found}{left}")
+        self.tell(f"round {result.number} of {self.recipe.rounds}: {sentence}{left}")
 
     def _batch(self, kind: ActorKind, use: Use, first: int, count: int, noise: float) -> CollectedBatch:
         fidelity = self.recipe.fidelity if use is Use.COLLECT else Fidelity.FULL
@@ -311,10 +311,10 @@ def _result(row: Row) -> RoundResult:
     )
 
 
-def format_rate(found: Rate) -> str:
+def format_rate(counted: Rate) -> str:
     """Return a rate for people."""
-    low, high = 100 * found.interval.low, 100 * found.interval.high
-    return f"{found.successes} of {found.episodes} ({100 * found.success_rate:.1f} % [{low:.1f}, {high:.1f}])"
+    low, high = 100 * counted.interval.low, 100 * counted.interval.high
+    return f"{counted.successes} of {counted.episodes} ({100 * counted.success_rate:.1f} % [{low:.1f}, {high:.1f}])"
 
 
 def best(results: Sequence[RoundResult]) -> RoundResult:

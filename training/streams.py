@@ -39,9 +39,9 @@ def stream(seed: int, use: Use) -> int:
     """
     if seed < 0:
         raise StreamRefused(f"The seed is {seed}, expected 0 or more.")
-    found = FIRST_STREAM + STREAMS_PER_SEED * seed + use
-    refuse_official(found)
-    return found
+    seed_of_stream = FIRST_STREAM + STREAMS_PER_SEED * seed + use
+    refuse_official(seed_of_stream)
+    return seed_of_stream
 
 
 def refuse_official_streams(seed: int) -> None:

@@ -170,8 +170,8 @@ class Recent(Generic[ValueT]):
 
     async def get(self, read: Callable[[], Awaitable[ValueT]]) -> ValueT:
         """Return the value of the last reading, or read it."""
-        found = self._read
-        if found is None or monotonic() - found[0] >= self._kept_s:
-            found = (monotonic(), await read())
-            self._read = found
-        return found[1]
+        kept = self._read
+        if kept is None or monotonic() - kept[0] >= self._kept_s:
+            kept = (monotonic(), await read())
+            self._read = kept
+        return kept[1]

@@ -189,17 +189,19 @@ async def get_viewer(request: Request) -> Viewer | None:
     """Return the signed-in visitor, or None; a session ends with its token."""
     site = get_site(request)
     cookie = request.cookies.get(COOKIE)
-    found = site.signer.read(cookie, now=datetime.now(UTC))
-    if cookie is None or found is None:
+    session_read = site.signer.read(cookie, now=datetime.now(UTC))
+    if cookie is None or session_read is None:
         return None
-    principal = await none_if_unknown(site.read(lambda session: tokens.principal_of_token_id(session, found.token_id)))
+    principal = await none_if_unknown(
+        site.read(lambda session: tokens.principal_of_token_id(session, session_read.token_id))
+    )
     if principal is None:
         return None
     request.state.account = principal.account
     return Viewer(
-        principal=replace(principal, signed_in_at=found.began_at),
+        principal=replace(principal, signed_in_at=session_read.began_at),
         form_token=site.signer.form_token(cookie),
-        expires_at=found.expires_at,
+        expires_at=session_read.expires_at,
     )
 
 

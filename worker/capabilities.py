@@ -30,12 +30,12 @@ Describe = Callable[[], SandboxDescription]
 
 def families_here() -> tuple[Family, ...]:
     """Return the families that have here what they need; the service gives the worker their work."""
-    found = abilities()
+    of_maniskill = abilities()
     able = {
         Family.TACTILE: True,
-        Family.MANISKILL: found.physics,
-        Family.MANISKILL_PICTURES: found.physics and found.pictures,
-        Family.MANISKILL_CUDA: found.physics and found.cuda and found.pictures,
+        Family.MANISKILL: of_maniskill.physics,
+        Family.MANISKILL_PICTURES: of_maniskill.physics and of_maniskill.pictures,
+        Family.MANISKILL_CUDA: of_maniskill.physics and of_maniskill.cuda and of_maniskill.pictures,
     }
     return tuple(family for family in Family if able.get(family))
 

@@ -287,8 +287,8 @@ class ShardRun(LeasedRun[RunningShard]):
 
     def _known_part(self) -> FiguresPart | None:
         """Return the shard's part of the figures where the team's same sensor was measured before; None elsewhere."""
-        found: FiguresPart | None = self._database(lambda session: known_part(session, self._lease))
-        return found
+        part: FiguresPart | None = self._database(lambda session: known_part(session, self._lease))
+        return part
 
     def _order(
         self, path: Path, stored: StoredEpisodes, *, secret: Path | None, sensor: Path | None, figures: FigureChoice

@@ -192,9 +192,9 @@ class QueueWorker:
         if stops_at_once:
             run.stop()
         try:
-            with span(str(claim.kind), trace, {**names, "attempt": claim.attempt, "waited_s": claim.waited_s}) as found:
+            with span(str(claim.kind), trace, {**names, "attempt": claim.attempt, "waited_s": claim.waited_s}) as later:
                 end = run.run()
-                found["end"] = str(end)
+                later["end"] = str(end)
         finally:
             with self._lock:
                 self._runs.discard(run)

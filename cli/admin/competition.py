@@ -27,9 +27,9 @@ def check(file: CompetitionFile, as_json: AsJson = False) -> None:
     from vitac.server.competitions.applying import list_warnings
     from vitac.server.competitions.definition import read_competition
 
-    found = read_competition(file)
+    definition = read_competition(file)
     if as_json:
-        print_json(found.model_dump(mode="json"))
+        print_json(definition.model_dump(mode="json"))
         return
     print_table(
         ("track", "stage", "opens", "closes", "takes", "list", "for"),
@@ -43,12 +43,12 @@ def check(file: CompetitionFile, as_json: AsJson = False) -> None:
                 stage.list.value if track.taken_here else None,
                 stage.qualified.sentence if stage.qualified else "all teams",
             ]
-            for name, track in found.tracks.items()
+            for name, track in definition.tracks.items()
             for stage in track.stages
         ],
         none="",
     )
-    for warning in list_warnings(found, at=datetime.now(UTC)):
+    for warning in list_warnings(definition, at=datetime.now(UTC)):
         warn(warning)
 
 

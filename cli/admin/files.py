@@ -71,8 +71,8 @@ def download(
     with open_door(context, server, token_file) as door:
         answer = door.send(STAGE_SUBMISSIONS, {"competition": competition, "track": track, "stage": stage})
     file.write_bytes(answer.content)
-    found = {"file": str(file), "bytes": len(answer.content)}
-    print_record(found, as_json=as_json)
+    saved = {"file": str(file), "bytes": len(answer.content)}
+    print_record(saved, as_json=as_json)
 
 
 def export(
@@ -105,8 +105,8 @@ def export(
     except OSError as error:
         raise FileNotWritten(f"{file} cannot be made: {error.strerror}. Name a new file.") from error
     with ExportReader.opened(file) as export:
-        found = export.description
-    content = {"file": str(file), "entries": len(found.board.entries), "public_key": found.public_key}
+        description = export.description
+    content = {"file": str(file), "entries": len(description.board.entries), "public_key": description.public_key}
     print_record(content, as_json=as_json)
 
 

@@ -99,11 +99,11 @@ def check_track(
     from ..terminal.compiling import compiling_shown
 
     with compiling_shown():
-        found = check(file)
+        checked = check(file)
     if as_json:
-        print_json(asdict(found))
+        print_json(asdict(checked))
         return
-    print(f"{found.name}: {found.title}; takes {', '.join(found.accepts)}")
+    print(f"{checked.name}: {checked.title}; takes {', '.join(checked.accepts)}")
     columns = ("task", "episodes", "shapes", "list", "shards", "CPU s an episode", "CPU s", f"wall s, {CORES} cores")
     rows = [
         [
@@ -116,10 +116,10 @@ def check_track(
             task.cpu_s,
             task.wall_s,
         ]
-        for task in found.tasks
+        for task in checked.tasks
     ]
     print_table(columns, rows, none="")
-    for task in found.tasks:
+    for task in checked.tasks:
         if task.note:
             print(f"{task.task}: not measured, {task.note}")
     print("Put it into the folder that VITAC_TRACKS_DIR names, the same for server and workers, and restart them.")

@@ -26,14 +26,14 @@ class AdminNoun:
 
 
 def _marks(texts: list[str]) -> dict[str, float]:
-    found: dict[str, float] = {}
+    by_criterion: dict[str, float] = {}
     for text in texts:
         name, _, mark = text.partition("=")
         try:
-            found[name] = float(mark)
+            by_criterion[name] = float(mark)
         except ValueError:
             raise typer.BadParameter(f"expected NAME=NUMBER such as structure=7.5, got {text!r}") from None
-    return found
+    return by_criterion
 
 
 def _limit(text: str) -> int | None:

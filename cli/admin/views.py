@@ -23,9 +23,9 @@ LOST = "lost"
 
 def print_definition(answer: Any, _: Given) -> None:
     """Print what a competition is, and its revision."""
-    found = answer["definition"]
-    stages = [f"{name}/{stage['name']}" for name, track in found["tracks"].items() for stage in track["stages"]]
-    names = {"competition": found["name"], "title": found["title"], "stages": ", ".join(stages)}
+    definition = answer["definition"]
+    stages = [f"{name}/{stage['name']}" for name, track in definition["tracks"].items() for stage in track["stages"]]
+    names = {"competition": definition["name"], "title": definition["title"], "stages": ", ".join(stages)}
     print_pairs(names | {"revision": answer["revision"]})
 
 
@@ -108,9 +108,9 @@ def print_started(answer: Any, _: Given) -> None:
 
 def print_rejudged(answer: Any, _: Given) -> None:
     """Print which scores and ranks would change."""
-    found = answer["submissions"]
-    print_table(REJUDGED, [_rejudged(row) for row in found], none="It has no submissions.")
-    print(f"{sum(row['changes'] for row in found)} of {len(found)} submissions would change score or rank")
+    rejudged = answer["submissions"]
+    print_table(REJUDGED, [_rejudged(row) for row in rejudged], none="It has no submissions.")
+    print(f"{sum(row['changes'] for row in rejudged)} of {len(rejudged)} submissions would change score or rank")
 
 
 def _rejudged(row: Any) -> list[object]:
@@ -235,27 +235,27 @@ def print_evaluation(answer: Any, _: Given) -> None:
         _print_alarms(answer["differing_episodes"])
 
 
-def _evaluation(found: Any) -> dict[str, object]:
-    progress, verdict = found["progress"], found["verdict"]
+def _evaluation(evaluation: Any) -> dict[str, object]:
+    progress, verdict = evaluation["progress"], evaluation["verdict"]
     return {
-        "evaluation": found["id"],
-        "submission": found["submission_id"],
-        "team": found["team"],
-        "track": found["track"],
-        "run": found["run"],
-        "state": found["state"],
+        "evaluation": evaluation["id"],
+        "submission": evaluation["submission_id"],
+        "team": evaluation["team"],
+        "track": evaluation["track"],
+        "run": evaluation["run"],
+        "state": evaluation["state"],
         "episodes": f"{progress['episodes_done']} of {progress['episodes_total']}, {progress['successes']} successes",
-        "success": percent(found["success_rate"]),
-        "steps": found["mean_steps"],
+        "success": percent(evaluation["success_rate"]),
+        "steps": evaluation["mean_steps"],
         "verdict": f"{verdict['code']}: {verdict['message']}" if verdict else None,
-        "result hash": found["result_hash"],
-        "evaluator": found["evaluator_version"],
-        "platform class": found["platform_class"],
-        "isolation": "; ".join(found["isolation"]),
-        "packages": "; ".join(f"{len(seen['versions'])}, digest {seen['digest']}" for seen in found["packages"]),
-        "created": readable(found["created_at"]),
-        "started": readable(found["started_at"]),
-        "finished": readable(found["finished_at"]),
+        "result hash": evaluation["result_hash"],
+        "evaluator": evaluation["evaluator_version"],
+        "platform class": evaluation["platform_class"],
+        "isolation": "; ".join(evaluation["isolation"]),
+        "packages": "; ".join(f"{len(seen['versions'])}, digest {seen['digest']}" for seen in evaluation["packages"]),
+        "created": readable(evaluation["created_at"]),
+        "started": readable(evaluation["started_at"]),
+        "finished": readable(evaluation["finished_at"]),
     }
 
 

@@ -163,12 +163,12 @@ def pack(folder: Path, archive: Path) -> int:
     """
     from vitac.evaluator.submission.sources import find_submission, list_files, top_folder
 
-    found = find_submission(folder)
-    top = top_folder(found)
-    paths = sorted(list_files(found))
+    source = find_submission(folder)
+    top = top_folder(source)
+    paths = sorted(list_files(source))
     with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as writer:
         for path in paths:
-            _add(writer, found / path, f"{top}/{path}")
+            _add(writer, source / path, f"{top}/{path}")
     return len(paths)
 
 

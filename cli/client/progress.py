@@ -53,15 +53,15 @@ class EvaluationProgress:
         if self._bar is not None:
             self._bar.stop()
 
-    def update(self, found: Json) -> None:
+    def update(self, submission: Json) -> None:
         """Show the current state of a submission."""
         if self._quiet:
             return
-        evaluation = found["evaluation"]
+        evaluation = submission["evaluation"]
         progress = evaluation["progress"]
         if self._bar is None:
             self._print_check(evaluation.get("sensor_check"))
-            self._print_wait(nobody(found))
+            self._print_wait(nobody(submission))
             self._print_line(progress)
             return
         tasks = progress["tasks"]
@@ -69,7 +69,7 @@ class EvaluationProgress:
             tasks = [progress | {"task": ""}]
         several = len(tasks) > 1
         for task in tasks:
-            self._update_bar(self._bar, task, name=task["task"] if several else "", description=situation(found))
+            self._update_bar(self._bar, task, name=task["task"] if several else "", description=situation(submission))
 
     def _update_bar(self, bar: Progress, task: Json, *, name: str, description: str) -> None:
         total, done = task["episodes_total"], task["episodes_done"]
@@ -105,13 +105,13 @@ def _format_tasks(tasks: list[Json]) -> str:
     return f" ({', '.join(parts)})" if len(parts) > 1 else ""
 
 
-def nobody(found: Json) -> str:
+def nobody(submission: Json) -> str:
     """Return why no worker takes the evaluation now, in a few words; empty where one does or it has ended."""
-    if found.get("waits"):
-        return str(found["waits"])
-    if found["workers"]["alive"] > 0 or found["evaluation"]["state"] not in {"queued", "running"}:
+    if submission.get("waits"):
+        return str(submission["waits"])
+    if submission["workers"]["alive"] > 0 or submission["evaluation"]["state"] not in {"queued", "running"}:
         return ""
-    workers = found["workers"]
+    workers = submission["workers"]
     if family := workers.get("missing_family"):
         return f"no running worker has what {family} needs"
     if workers.get("lacks_gpu"):
@@ -121,12 +121,12 @@ def nobody(found: Json) -> str:
     return "no worker is running"
 
 
-def missing_tasks(found: Json) -> str:
+def missing_tasks(submission: Json) -> str:
     """Return which tasks a submission does not play and what that means for its rank; empty where it plays all."""
-    missing = found["missing_tasks"]
+    missing = submission["missing_tasks"]
     if not missing:
         return ""
-    counts = len(missing) < len(found["evaluation"]["counted_tasks"])
+    counts = len(missing) < len(submission["evaluation"]["counted_tasks"])
     meaning = "counts as 0 % in" if counts else "without it no place in"
     return f"{', '.join(missing)} ({meaning} the ranking of all tasks)"
 
@@ -138,10 +138,10 @@ def describe_place(evaluation: Json) -> str:
     return f"number {evaluation['queue_position']} in the queue" if evaluation["queue_position"] else ""
 
 
-def situation(found: Json) -> str:
+def situation(submission: Json) -> str:
     """Return what the evaluation waits for, or the estimated time left, in a few words."""
-    evaluation = found["evaluation"]
-    if waits := nobody(found):
+    evaluation = submission["evaluation"]
+    if waits := nobody(submission):
         return waits
     if place := describe_place(evaluation):
         return place

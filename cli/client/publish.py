@@ -20,15 +20,15 @@ def publish(
 ) -> None:
     """Let everybody see the page of a submission: score, episodes and playbacks, nothing that the policy printed."""
     client = make_client(server, token_file)
-    found = client.set_public(submission, public=not off)
+    answer = client.set_public(submission, public=not off)
     if as_json:
-        print_json(found)
-    elif not found["public"]:
+        print_json(answer)
+    elif not answer["public"]:
         print("private: only your team, judges and organizers see it")
-    elif found["evaluation"]["state"] != "completed":
-        print(f"public as soon as its evaluation is complete: {client.server}/submissions/{found['id']}")
+    elif answer["evaluation"]["state"] != "completed":
+        print(f"public as soon as its evaluation is complete: {client.server}/submissions/{answer['id']}")
     else:
-        print(f"public: {client.server}/submissions/{found['id']}")
+        print(f"public: {client.server}/submissions/{answer['id']}")
 
 
 def choose(
@@ -44,11 +44,11 @@ def choose(
     submissions on the live list play it.
     """
     content = {"chosen": not off}
-    found = make_client(server, token_file).call("PUT", f"/api/v1/submissions/{submission}/chosen", content)
+    answer = make_client(server, token_file).call("PUT", f"/api/v1/submissions/{submission}/chosen", content)
     if as_json:
-        print_json(found)
+        print_json(answer)
     else:
-        print(f"{found['name']}: {'chosen for the final list' if found['chosen'] else 'not chosen'}")
+        print(f"{answer['name']}: {'chosen for the final list' if answer['chosen'] else 'not chosen'}")
 
 
 def withdraw(
@@ -71,11 +71,11 @@ def withdraw(
     client, address = make_client(server, token_file), f"/api/v1/submissions/{submission}"
     if delete:
         require_consent(f"Remove what you uploaded as {submission} permanently?", yes=yes)
-        found = client.call("DELETE", address)
+        answer = client.call("DELETE", address)
     else:
-        found = client.call("DELETE" if undo else "PUT", f"{address}/withdrawal")
+        answer = client.call("DELETE" if undo else "PUT", f"{address}/withdrawal")
     if as_json:
-        print_json(found)
+        print_json(answer)
     elif delete:
         print("deleted: the upload is removed within a day")
     else:
@@ -100,11 +100,11 @@ def describe(
     Others read it on the result's page, the links also on the board. What you do not name stays; "" takes it away.
     """
     client, address = make_client(server, token_file), f"/api/v1/submissions/{submission}/description"
-    found = client.call("GET", address)
+    answer = client.call("GET", address)
     changes = {
         name: value for name, value in zip(FIELDS, (text, code, paper, discussion), strict=True) if value is not None
     }
     if changes:
-        now = {name: found[name] for name in FIELDS} | {"base": found["revision"]}
-        found = client.call("PUT", address, now | changes)
-    print_record(found, as_json=as_json)
+        now = {name: answer[name] for name in FIELDS} | {"base": answer["revision"]}
+        answer = client.call("PUT", address, now | changes)
+    print_record(answer, as_json=as_json)

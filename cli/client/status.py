@@ -23,9 +23,9 @@ Pause = Callable[[], object]
 """Called between two requests for the state of an evaluation; raises to stop following."""
 
 
-def has_ended(found: Json) -> bool:
+def has_ended(submission: Json) -> bool:
     """Return whether the newest evaluation of a submission has ended."""
-    return found["evaluation"]["state"] in _ENDED
+    return submission["evaluation"]["state"] in _ENDED
 
 
 def follow(
@@ -34,10 +34,10 @@ def follow(
     """Show the progress of an evaluation until it ends, and return its last state."""
     with progress:
         while True:
-            found = ask_patiently(lambda: client.submission(submission_id))
-            progress.update(found)
-            if has_ended(found):
-                return found
+            submission = ask_patiently(lambda: client.submission(submission_id))
+            progress.update(submission)
+            if has_ended(submission):
+                return submission
             pause()
 
 
@@ -99,21 +99,21 @@ def show_when_ended(client: Client, submission_id: str, *, as_json: bool) -> Non
     Raises:
         EvaluationEndedWithoutScore: it failed or was cancelled.
     """
-    found = follow(client, submission_id, EvaluationProgress(quiet=as_json))
+    submission = follow(client, submission_id, EvaluationProgress(quiet=as_json))
     if as_json:
-        print_json(found)
+        print_json(submission)
     else:
-        show(found)
-    require_score(found)
+        show(submission)
+    require_score(submission)
 
 
-def require_score(found: Json) -> None:
+def require_score(submission: Json) -> None:
     """Raise an error if an evaluation ended without a score.
 
     Raises:
         EvaluationEndedWithoutScore: it failed or was cancelled.
     """
-    evaluation = found["evaluation"]
+    evaluation = submission["evaluation"]
     if evaluation["state"] == "completed":
         return
     verdict = evaluation["verdict"]
@@ -121,38 +121,40 @@ def require_score(found: Json) -> None:
     raise EvaluationEndedWithoutScore(f"The evaluation {evaluation['state']}{reason}.")
 
 
-def show_list(found: list[Json], *, as_json: bool) -> None:
+def show_list(submissions: list[Json], *, as_json: bool) -> None:
     """Print a table of submissions."""
     if as_json:
-        print_json(found)
+        print_json(submissions)
         return
     columns = ["submission", "name", "team", "state", "episodes", "success", "submitted"]
     print_table(
-        columns, [_row(item) for item in found], none="Nothing submitted yet; upload with `vitac submit FOLDER`."
+        columns, [_row(item) for item in submissions], none="Nothing submitted yet; upload with `vitac submit FOLDER`."
     )
 
 
-def show(found: Json) -> None:
+def show(submission: Json) -> None:
     """Print one submission with its score or verdict."""
-    evaluation = found["evaluation"]
+    evaluation = submission["evaluation"]
     done = evaluation["progress"]
     pairs: dict[str, object] = {
-        "submission": found["id"],
-        "name": found["name"],
-        "team": found["team"]["name"],
-        "track": found["track"] if found["stage"] is None else f"{found['track']}, {found['stage']}",
+        "submission": submission["id"],
+        "name": submission["name"],
+        "team": submission["team"]["name"],
+        "track": submission["track"]
+        if submission["stage"] is None
+        else f"{submission['track']}, {submission['stage']}",
         "state": evaluation["state"],
-        **({"disqualified": found["disqualified_for"]} if found.get("disqualified_for") else {}),
-        **({"rank": found["unranked"]} if found.get("unranked") else {}),
+        **({"disqualified": submission["disqualified_for"]} if submission.get("disqualified_for") else {}),
+        **({"rank": submission["unranked"]} if submission.get("unranked") else {}),
         "queue": evaluation["queue_position"],
         "episodes": f"{done['episodes_done']} of {done['episodes_total']}, {done['episodes_reused']} reused",
     }
-    if waits := nobody(found):
+    if waits := nobody(submission):
         pairs["waits"] = waits
-    if found["log"]:
-        pairs |= _log(found["log"])
-    pairs |= _scores(found) if evaluation["scores"] else _progress_of_tasks(done)
-    if missing := missing_tasks(found):
+    if submission["log"]:
+        pairs |= _log(submission["log"])
+    pairs |= _scores(submission) if evaluation["scores"] else _progress_of_tasks(done)
+    if missing := missing_tasks(submission):
         pairs["not submitted"] = missing
     if evaluation["verdict"] is not None:
         pairs["verdict"] = _verdict(evaluation["verdict"])
@@ -177,17 +179,17 @@ def _log(log: Json) -> dict[str, object]:
     return lines
 
 
-def _scores(found: Json) -> dict[str, object]:
+def _scores(submission: Json) -> dict[str, object]:
     """Return score, rank and result hash of each task, and of all together where the track has several."""
-    evaluation, ranks = found["evaluation"], found["task_ranks"]
+    evaluation, ranks = submission["evaluation"], submission["task_ranks"]
     lines: dict[str, object] = {
         score["task"]: _score(score, ranks.get(score["task"])) for score in evaluation["scores"]
     }
     for practice in evaluation.get("practice_scores") or ():
         lines[f"{practice['task']}, practice"] = practice["sentence"]
-    several = len(found["tasks"]) + len(found["missing_tasks"]) > 1
+    several = len(submission["tasks"]) + len(submission["missing_tasks"]) > 1
     if several and evaluation["success_rate"] is not None:  # a sensor without a policy has none
-        lines["all tasks"] = _score(evaluation, found["rank"])
+        lines["all tasks"] = _score(evaluation, submission["rank"])
     if len(evaluation["scores"]) > 1:
         lines |= {f"hash, {score['task']}": score["result_hash"] for score in evaluation["scores"]}
     return lines | {"result hash": evaluation["result_hash"]}

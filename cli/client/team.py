@@ -189,13 +189,13 @@ app.add_typer(webhook, name="webhook", help="Addresses that get the team's notic
 @app.command()
 def show(server: Server = None, token_file: TokenFile = None, as_json: AsJson = False) -> None:
     """Show the team, its members and its open invitations."""
-    found = Door(client=make_client(server, token_file)).call("GET /teams/{team_id}", OWN)
+    own = Door(client=make_client(server, token_file)).call("GET /teams/{team_id}", OWN)
     if as_json:
-        print_json(found)
+        print_json(own)
         return
-    print_pairs({"team": found["name"], "state": _state(found), "open invitations": len(found["invitations"])})
+    print_pairs({"team": own["name"], "state": _state(own), "open invitations": len(own["invitations"])})
     print()
-    present = [member for member in found["members"] if member["left_at"] is None]
+    present = [member for member in own["members"] if member["left_at"] is None]
     print_rows(present, ("name", "role", "email", "has_password", "joined_at"), none="")
 
 

@@ -266,7 +266,7 @@ class Verb:
 
     def offered(self) -> list[Field]:
         """Return the fields that the command line takes, arguments first."""
-        found = [
+        free = [
             each
             for each in find_operation(self.operation).fields
             if each.name not in self.fixed
@@ -274,7 +274,7 @@ class Verb:
             and (self.only is None or each.place == "path" or each.name in self.only)
         ]
         order = {name: number for number, name in enumerate(self.arguments)}
-        return sorted(found, key=lambda each: (not self.is_argument(each), order.get(each.name, -1)))
+        return sorted(free, key=lambda each: (not self.is_argument(each), order.get(each.name, -1)))
 
     def is_argument(self, each: Field) -> bool:
         """Return whether a field is given without an option."""
@@ -405,17 +405,17 @@ def _print(verb: Verb, answer: Any, given: Given, *, dry_run: bool, as_json: boo
         print(NOTHING_CHANGED, file=sys.stderr)
         for place in verb.unknown:
             _forget(answer, place.split("."))
-    found = answer if verb.of is None else answer[verb.of]
+    content = answer if verb.of is None else answer[verb.of]
     if as_json:
-        print_json(found)
+        print_json(content)
     elif verb.done is not None:
         print(verb.done.format(**given))
     elif verb.show is not None:
         verb.show(answer, given)
-    elif verb.columns or isinstance(found, list):
-        print_rows(found, verb.columns, none=verb.none)
+    elif verb.columns or isinstance(content, list):
+        print_rows(content, verb.columns, none=verb.none)
     else:
-        print_fields({name: value for name, value in found.items() if name not in verb.only_json})
+        print_fields({name: value for name, value in content.items() if name not in verb.only_json})
     for sentence in verb.warns(answer):
         warn(sentence)
 

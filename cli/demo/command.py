@@ -133,15 +133,15 @@ class Demo:
         with ExitStack() as stack:
             service = self._start(stack)
             client = Client(server=service.address, token=team_token(service.database, self.settings.state_dir))
-            found = self._upload(client)
-            if has_ended(found):
-                self._print_reused(found)
+            submission = self._upload(client)
+            if has_ended(submission):
+                self._print_reused(submission)
             else:
                 self._start_workers(service)
-                found = self._evaluate(service, client, found["id"])
-            require_score(found)
-            client.set_public(found["id"], public=True)  # visitors of this service see what was played
-            self._show(client, found)
+                submission = self._evaluate(service, client, submission["id"])
+            require_score(submission)
+            client.set_public(submission["id"], public=True)  # visitors of this service see what was played
+            self._show(client, submission)
             if stay:
                 self._stay(service)
         self.display.stopped(self.settings.state_dir)
@@ -159,12 +159,12 @@ class Demo:
 
     def _upload(self, client: Client) -> Json:
         with self.display.stage("Submission", "packing and uploading") as stage, packed(self.submission) as archive:
-            found = client.upload(archive, track=self.track, again=self.again, on_position=lambda _: None)
-            stage.done(f"{found['name']} ({archive.stat().st_size / 1024:.1f} KiB), team {TEAM}")
-        return found
+            submission = client.upload(archive, track=self.track, again=self.again, on_position=lambda _: None)
+            stage.done(f"{submission['name']} ({archive.stat().st_size / 1024:.1f} KiB), team {TEAM}")
+        return submission
 
-    def _print_reused(self, found: Json) -> None:
-        progress = found["evaluation"]["progress"]
+    def _print_reused(self, submission: Json) -> None:
+        progress = submission["evaluation"]["progress"]
         self.display.line(
             "Evaluation",
             f"all {progress['episodes_total']} episodes reused, nothing was run "
@@ -219,9 +219,9 @@ class Demo:
     def _evaluate(self, service: RunningService, client: Client, submission_id: str) -> Json:
         began = time.monotonic()
         progress = EvaluationProgress(console=self.display.console, indent=INDENT)
-        found = follow(client, submission_id, progress, partial(self._pause, service))
-        self.display.line("Evaluation", describe_evaluation(found), time.monotonic() - began)
-        return found
+        submission = follow(client, submission_id, progress, partial(self._pause, service))
+        self.display.line("Evaluation", describe_evaluation(submission), time.monotonic() - began)
+        return submission
 
     def _pause(self, service: RunningService) -> None:
         """Wait for one polling period and restart workers that have ended.
@@ -233,15 +233,15 @@ class Demo:
             raise Interrupted
         service.restart_ended()
 
-    def _show(self, client: Client, found: Json) -> None:
+    def _show(self, client: Client, submission: Json) -> None:
         # On the leaderboard of all tasks a submission of one task counts 0 in the others.
-        task = found["tasks"][0] if len(found["tasks"]) == 1 else None
+        task = submission["tasks"][0] if len(submission["tasks"]) == 1 else None
         self.display.leaderboard(client.leaderboard(self.track, task=task), TEAM)
         self.display.addresses(
             {
-                "Result hash": found["evaluation"]["result_hash"],
+                "Result hash": submission["evaluation"]["result_hash"],
                 "Leaderboard": f"{client.server}/" + (f"tracks/{self.track}?task={task}" if task else ""),
-                "Submission": f"{client.server}/submissions/{found['id']}",
+                "Submission": f"{client.server}/submissions/{submission['id']}",
                 "Sign in": f"{client.server}/sign-in with the token in {self.settings.state_dir / TOKEN_FILE}",
             }
         )
@@ -253,9 +253,9 @@ class Demo:
         self.stop.supervise(service.restart_ended)
 
 
-def describe_evaluation(found: Json) -> str:
+def describe_evaluation(submission: Json) -> str:
     """Return how many episodes are done and how many of them were reused."""
-    progress = found["evaluation"]["progress"]
+    progress = submission["evaluation"]["progress"]
     total, reused = progress["episodes_total"], progress["episodes_reused"]
     stored = f", {reused} of them reused" if reused else ""
     return f"{progress['episodes_done']} of {total} episodes{stored}, {progress['successes']} successes"

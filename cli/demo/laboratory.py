@@ -205,16 +205,16 @@ class StationDemo:
                 token=team_token(laboratory.service.database, self.settings.state_dir),
             )
             with made_for_station(self.submission) as folder, packed(folder) as archive:
-                found = client.upload(archive, track=TRACK, again=True, on_position=lambda _: None)
+                submission = client.upload(archive, track=TRACK, again=True, on_position=lambda _: None)
             agent = stack.enter_context(laboratory.agent("--pictures", str(pictures)))
             began = time.monotonic()
             progress = EvaluationProgress(console=self.display.console, indent=INDENT)
-            found = follow(client, found["id"], progress, partial(self._pause, agent))
-            require_score(found)
-            outcomes = {each["episode"]: each["outcome"] for each in client.episodes(found["id"])}
+            submission = follow(client, submission["id"], progress, partial(self._pause, agent))
+            require_score(submission)
+            outcomes = {each["episode"]: each["outcome"] for each in client.episodes(submission["id"])}
             successes = list(outcomes.values()).count("success")
             self.display.line("Trials", f"{successes} of {len(outcomes)} succeeded", time.monotonic() - began)
-            page = Album(pictures).write_page(f"{found['name']} on the twin of a laboratory", outcomes)
+            page = Album(pictures).write_page(f"{submission['name']} on the twin of a laboratory", outcomes)
         self.display.addresses({"Pictures": page.resolve().as_uri()})
 
     def _pause(self, agent: "subprocess.Popen[bytes]") -> None:

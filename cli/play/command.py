@@ -51,13 +51,13 @@ def _print_rate(played: "HandPlay", path: Path, *, as_json: bool) -> None:
     from vitac.training.demonstrations.collecting import DemonstrationKind
 
     felt = [each.is_success for each in played.stored if each.kind is DemonstrationKind.HUMAN]
-    found = rate(sum(felt), len(felt)) if felt else None
+    counted = rate(sum(felt), len(felt)) if felt else None
     if as_json:
-        low_high = None if found is None else (found.interval.low, found.interval.high)
+        low_high = None if counted is None else (counted.interval.low, counted.interval.high)
         solved = {"task": played.task.name, "episodes": len(felt), "successes": sum(felt), "interval": low_high}
         print_json({**solved, "file": str(path)})
-    elif found is None:
+    elif counted is None:
         print("No episode was played by marker flow alone.")
     else:
-        interval = f"{percent(found.interval.low)} to {percent(found.interval.high)}"
-        print(f"human, by marker flow alone: {sum(felt)} of {len(felt)}, {percent(found.success_rate)} ({interval})")
+        interval = f"{percent(counted.interval.low)} to {percent(counted.interval.high)}"
+        print(f"human, by marker flow alone: {sum(felt)} of {len(felt)}, {percent(counted.success_rate)} ({interval})")

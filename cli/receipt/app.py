@@ -68,8 +68,8 @@ def verify(
     if Path(receipt).is_file() or Path(receipt).suffix == ".json":
         receipts, witnesses = read_receipts(Path(receipt)), witness or []
     else:
-        found, shown_key, named = _read_from_service(receipt, server, token_file)
-        receipts, key, witnesses = [found], key or shown_key, witness or named
+        verified, shown_key, named = _read_from_service(receipt, server, token_file)
+        receipts, key, witnesses = [verified], key or shown_key, witness or named
     for each in receipts:
         each.require_valid(key)
     witnessed = [each.find_witnesses(map(VerifierKey.parse, witnesses)) for each in receipts]
@@ -91,14 +91,14 @@ def verify(
         print("Compare the key with the one that the service shows on its page /receipts, or give it as --key.")
 
 
-def _print_verified(found: AnyReceipt, witnessed: Mapping[VerifierKey, datetime], *, n_witnesses: int) -> None:
+def _print_verified(verified: AnyReceipt, witnessed: Mapping[VerifierKey, datetime], *, n_witnesses: int) -> None:
     print_pairs(
         {
-            "receipt": found.entry.number,
-            "of": found.entry.content,
-            **_shown(found.content),
-            "issued": moment(found.entry.issued_at),
-            "signed by": found.public_key,
+            "receipt": verified.entry.number,
+            "of": verified.entry.content,
+            **_shown(verified.content),
+            "issued": moment(verified.entry.issued_at),
+            "signed by": verified.public_key,
             **{f"witness {each.name}": moment(at) for each, at in witnessed.items()},
             **({"witnessed by": f"{len(witnessed)} of {n_witnesses}"} if n_witnesses else {}),
         }
@@ -243,14 +243,14 @@ def _audit_export(
         each.require_valid(key)
     seed = secrets.randbits(63) if seed is None else seed
     with compiling_shown():
-        found = audit_export(
+        result = audit_export(
             export, public_key=key, held=held, noted=noted, episodes=episodes, seed=seed, on_episode=_progress
         )
     if as_json:
-        print_json(asdict(found) | {"seed": seed})
+        print_json(asdict(result) | {"seed": seed})
     else:
-        _print(found, seed)
-    if not found.is_believed:
+        _print(result, seed)
+    if not result.is_believed:
         raise typer.Exit(1)
 
 
@@ -262,14 +262,14 @@ def _audit_log(named: str, key: str | None, held: list[AnyReceipt], noted: Seque
     log = open_log(named, key)
     stored = [read_checkpoint(Path(text)) for text in noted if Path(text).is_file()]
     roots = dict(_noted(text) for text in noted if not Path(text).is_file())
-    found = audit_log(log, held=held, checkpoints=stored, roots=roots)
+    result = audit_log(log, held=held, checkpoints=stored, roots=roots)
     if key is None:
-        found.doubts.insert(0, "Whose key it is: compare it with the one that you noted, or give that as --key.")
+        result.doubts.insert(0, "Whose key it is: compare it with the one that you noted, or give that as --key.")
     if as_json:
-        print_json(asdict(found))
+        print_json(asdict(result))
     else:
-        _print_log(found)
-    if found.findings:
+        _print_log(result)
+    if result.findings:
         raise typer.Exit(1)
 
 
@@ -337,20 +337,20 @@ def _read_from_service(named: str, server: str | None, token_file: Path | None) 
 
     client, submission_id = _find_service(named, server, token_file)
     listed = decode(client.send("GET", f"/api/v1/submissions/{submission_id}/receipts"))
-    found: AnyReceipt
+    newest: AnyReceipt
     if listed:
-        found = _read_signed(Receipt, listed[-1])
+        newest = _read_signed(Receipt, listed[-1])
     else:
         arrival = decode(client.send("GET", f"/api/v1/submissions/{submission_id}/arrival"))
-        found = _read_signed(SubmissionReceipt, arrival)
-    log = decode_object(client.send("GET", "/api/v1/receipts", params={"after": found.entry.number - 1, "limit": 1}))
+        newest = _read_signed(SubmissionReceipt, arrival)
+    log = decode_object(client.send("GET", "/api/v1/receipts", params={"after": newest.entry.number - 1, "limit": 1}))
     shown = [entry["leaf_hash"] for entry in log["items"]]
-    if shown != [found.entry.leaf_hash.hex()]:
+    if shown != [newest.entry.leaf_hash.hex()]:
         raise ReceiptRejected(
-            f"Receipt {found.entry.number} is not in the log that the service shows: expected "
-            f"{found.entry.leaf_hash.hex()}, got {', '.join(shown) or 'none'}."
+            f"Receipt {newest.entry.number} is not in the log that the service shows: expected "
+            f"{newest.entry.leaf_hash.hex()}, got {', '.join(shown) or 'none'}."
         )
-    return found, str(log["public_key"]), [witness["witness"] for witness in log["witnesses"]]
+    return newest, str(log["public_key"]), [witness["witness"] for witness in log["witnesses"]]
 
 
 def _read_signed(model: type[ReceiptT], answer: Answer) -> ReceiptT:
@@ -364,58 +364,58 @@ def _read_signed(model: type[ReceiptT], answer: Answer) -> ReceiptT:
     return validate(model, {name: answer[name] for name in model.model_fields}, "The receipt that the service shows")
 
 
-def _print(found: Audit, seed: int) -> None:
-    if found.unknowable:
+def _print(result: Audit, seed: int) -> None:
+    if result.unknowable:
         print("What this file alone cannot show:")
-    for unknowable in found.unknowable:
+    for unknowable in result.unknowable:
         print(f"  - {unknowable}")
     print_pairs(
         {
-            "signed by": found.public_key,
-            "entries of the log": found.log_entries,
-            "entries of the board": found.entries,
-            "logs that agree": found.logs,
-            "episodes run again": len(found.resimulated),
+            "signed by": result.public_key,
+            "entries of the log": result.log_entries,
+            "entries of the board": result.entries,
+            "logs that agree": result.logs,
+            "episodes run again": len(result.resimulated),
             "seed of their choice": seed,
-            "findings": len(found.findings),
-            "unusual": len(found.unusual),
-            "not checked": len(found.unchecked),
+            "findings": len(result.findings),
+            "unusual": len(result.unusual),
+            "not checked": len(result.unchecked),
         }
     )
-    for finding in found.findings:
+    for finding in result.findings:
         print(f"WRONG: {finding}")
-    for unusual in found.unusual:
+    for unusual in result.unusual:
         print(f"unusual: {unusual}")
-    if not found.logs:
+    if not result.logs:
         print("Nothing was verified: the records of no result could be compared with its receipt.")
-    elif found.unverified:
-        print(f"Not verified: the records of {', '.join(found.unverified)}, so the order of the board is not either.")
-    for unchecked in found.unchecked:
+    elif result.unverified:
+        print(f"Not verified: the records of {', '.join(result.unverified)}, so the order of the board is not either.")
+    for unchecked in result.unchecked:
         print(f"not checked: {unchecked}")
 
 
-def _print_log(found: LogAudit) -> None:
+def _print_log(result: LogAudit) -> None:
     print_pairs(
         {
-            "signed by": found.key,
-            "entries": found.size,
-            "root": found.root,
-            **{f"  {kind}": count for kind, count in found.entries.items()},
-            **{f"witness {name}": f"signed the first {size} entries" for name, size in found.witnesses.items()},
-            "findings": len(found.findings),
-            "unusual": len(found.unusual),
+            "signed by": result.key,
+            "entries": result.size,
+            "root": result.root,
+            **{f"  {kind}": count for kind, count in result.entries.items()},
+            **{f"witness {name}": f"signed the first {size} entries" for name, size in result.witnesses.items()},
+            "findings": len(result.findings),
+            "unusual": len(result.unusual),
         }
     )
-    for finding in found.findings:
+    for finding in result.findings:
         print(f"WRONG: {finding}")
-    for unusual in found.unusual:
+    for unusual in result.unusual:
         print(f"unusual: {unusual}")
-    for winner in found.winners:
+    for winner in result.winners:
         print(f"winner: {winner}")
-    print("Do not trust this log." if found.findings else "Nothing in the log was changed, removed or moved.")
-    if found.doubts:
+    print("Do not trust this log." if result.findings else "Nothing in the log was changed, removed or moved.")
+    if result.doubts:
         print("What you may still doubt:")
-    for doubt in found.doubts:
+    for doubt in result.doubts:
         print(f"  - {doubt}")
 
 

@@ -13,7 +13,7 @@ def parse_duration_s(text: str) -> float:
     Raises:
         BadParameter: it is none.
     """
-    found = re.fullmatch(r"(\d+(?:\.\d+)?)([smhd]?)", text.strip())
-    if found is None:
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)([smhd]?)", text.strip())
+    if match is None:
         raise typer.BadParameter(f"expected a duration such as 60, 90s, 15m, 4h or 1d, got {text!r}")
-    return float(found[1]) * _UNITS_S[found[2]]
+    return float(match[1]) * _UNITS_S[match[2]]

@@ -277,8 +277,8 @@ def _report(shown: Shown, *, as_json: bool) -> None:
         from ..terminal.output import print_json
 
         files = [str(path) for path in shown.files]
-        found = {"title": shown.title, "actions": shown.actions, "outcome": outcome, "env_steps": shown.env_steps}
-        print_json(found | {"beliefs": shown.beliefs, "files": files})
+        summary = {"title": shown.title, "actions": shown.actions, "outcome": outcome, "env_steps": shown.env_steps}
+        print_json(summary | {"beliefs": shown.beliefs, "files": files})
         return
     from vitac.evaluator.episodes.records import EpisodeOutcome, counted_env_steps
 

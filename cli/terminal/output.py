@@ -157,15 +157,15 @@ def note_ignored_folders(path: Path) -> None:
     from vitac.evaluator.submission.names import MANIFEST_NAME
     from vitac.evaluator.tracks import archive_folders
 
-    found = (
+    ignored = (
         []
         if find_spelling(path, MANIFEST_NAME).is_file()
         else [top for top in archive_folders() if find_spelling(path / top, MANIFEST_NAME).is_file()]
     )
-    if len(found) > 1:
+    if len(ignored) > 1:
         print(
-            f"vitac: takes {path / found[0]}; {' and '.join(found[1:])} beside it {'is' if len(found) == 2 else 'are'} "
-            f"ignored: name that folder to take it",
+            f"vitac: takes {path / ignored[0]}; {' and '.join(ignored[1:])} beside it "
+            f"{'is' if len(ignored) == 2 else 'are'} ignored: name that folder to take it",
             file=sys.stderr,
         )
 

@@ -81,13 +81,13 @@ class KernelCache(FunctionCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Load machine code; None if there is none."""
         try:
-            found = super().load_overload(sig, target_context)
+            overload = super().load_overload(sig, target_context)
         except _UNREADABLE as error:
             _LOG.warning("Compiled kernels in %s cannot be read (%s); compiling again.", self.cache_path, error)
             return None
-        if found is not None:
+        if overload is not None:
             note_use(Path(self.cache_path))
-        return found
+        return overload
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep machine code, and remove what is no longer used; a disk that does not take it is no error."""
@@ -143,17 +143,17 @@ def _empty_functions(module: Any) -> bytes:
 
 def _callers_first(libraries: list[Any]) -> list[Any]:
     """Return libraries and the parts that they call, each once, callers first, for LLVM links only what is called."""
-    found: dict[Any, None] = {}
+    callers: dict[Any, None] = {}
 
     def visit(library: Any) -> None:
-        if library not in found and isinstance(library, PartLibrary):
+        if library not in callers and isinstance(library, PartLibrary):
             for called in library._linking_libraries:
                 visit(called)
-        found.setdefault(library)
+        callers.setdefault(library)
 
     for library in libraries:
         visit(library)
-    return list(found)[::-1]
+    return list(callers)[::-1]
 
 
 _PHYSICS = "vitac.envs.fem."

@@ -35,14 +35,14 @@ def source_digest(module: Path, envs: Path = _ENVS) -> str:
 
 def imported_modules(module: Path, envs: Path = _ENVS) -> set[Path]:
     """Return all files of `vitac.envs` that a module imports, directly or through others."""
-    found: set[Path] = set()
+    paths: set[Path] = set()
     waiting = [module]
     while waiting:
         for path in _imports(waiting.pop(), envs):
-            if path not in found:
-                found.add(path)
+            if path not in paths:
+                paths.add(path)
                 waiting.append(path)
-    return found
+    return paths
 
 
 def _compiler() -> str:

@@ -67,12 +67,12 @@ class Destination:
             PicturesNotWritable: the suffix is another one, or the place is not free or cannot be written to.
         """
         try:
-            found = Format(path.suffix.lower())
+            kind = Format(path.suffix.lower())
         except ValueError:
             raise PicturesNotWritable(
                 f"{path} ends in {path.suffix!r}; expected .png, .gif, .webp, or no suffix for a folder of pictures."
             ) from None
-        destination = cls(path=path, format=found)
+        destination = cls(path=path, format=kind)
         destination._try()
         return destination
 

@@ -33,12 +33,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for env_id in chosen.ids or _registered():
         usable.pop(env_id, None)
         refused.pop(env_id, None)
-        found = _described_apart(env_id)
-        if isinstance(found, str):
-            refused[env_id] = found
+        described = _described_apart(env_id)
+        if isinstance(described, str):
+            refused[env_id] = described
         else:
-            usable[env_id] = found
-        sys.stderr.write(f"{env_id}: {found if isinstance(found, str) else 'usable'}\n")
+            usable[env_id] = described
+        sys.stderr.write(f"{env_id}: {described if isinstance(described, str) else 'usable'}\n")
     made_with = {name: version(name) for name in ("mani-skill", "sapien")}
     written = {
         "made_with": made_with,
@@ -68,8 +68,8 @@ def _described_apart(env_id: str) -> dict[str, Any] | str:
         return f"It was not made within {_TIME_LIMIT_S:.0f} s."
     if done.returncode != 0:
         return _reason(done.stderr)
-    found: dict[str, Any] | str = json.loads(done.stdout.rpartition("\n")[2])
-    return found
+    described: dict[str, Any] | str = json.loads(done.stdout.rpartition("\n")[2])
+    return described
 
 
 def _reason(errors: str) -> str:

@@ -48,14 +48,14 @@ def make_arrows(found: PairForces) -> tuple[FloatArray, FloatArray]:
     return places, forces
 
 
-def _select_on_held(found: PairForces, other: int) -> tuple[FloatArray, FloatArray]:
+def _select_on_held(forces: PairForces, other: int) -> tuple[FloatArray, FloatArray]:
     """Return the places [m] and forces [N] of contacts on the held part with another body."""
-    first, second = found.bodies.T
+    first, second = forces.bodies.T
     acts = (first == _HELD) & (second == other)
     reacts = (first == other) & (second == _HELD)
     return (
-        np.concatenate([found.points_m[acts], found.points_m[reacts]]),
-        np.concatenate([found.forces_n[acts], -found.forces_n[reacts]]),
+        np.concatenate([forces.points_m[acts], forces.points_m[reacts]]),
+        np.concatenate([forces.forces_n[acts], -forces.forces_n[reacts]]),
     )
 
 

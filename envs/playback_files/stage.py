@@ -127,13 +127,13 @@ def _gripper(playback: EpisodePlayback, moment: Moment) -> list[_Box]:
 def _corners_of_gripper(playback: EpisodePlayback, moment: Moment) -> FloatArray:
     """Return the corners of a box around each sensor with its finger, and of the palm [m]."""
     *sensors, palm = _gripper(playback, moment)
-    found = []
+    corners = []
     for group in (sensors[:3], sensors[3:], [palm]):
         corners_mm = np.concatenate([box.corners_mm() for box in group])
         low, high = corners_mm.min(axis=0), corners_mm.max(axis=0)
         around = group[0]._replace(lengths_mm=high - low, middle_mm=0.5 * (low + high))
-        found.append(_placed(1e-3 * around.corners_mm(), around.pose))
-    return np.concatenate(found)
+        corners.append(_placed(1e-3 * around.corners_mm(), around.pose))
+    return np.concatenate(corners)
 
 
 def _placed(own_m: FloatArray, pose: SensorPose) -> FloatArray:

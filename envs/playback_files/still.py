@@ -154,13 +154,13 @@ class _Scene:
         depth_m = np.where(seen, view.depth_m, np.where(to_floor > 0.0, to_floor, 0.0))
         points_m = eye_m + depth_m[..., None] * rays
         is_lit = self._is_lit(points_m)
-        found = self._table(points_m, is_lit, ~seen & (to_floor > 0.0))
+        rgba = self._table(points_m, is_lit, ~seen & (to_floor > 0.0))
         number = view.triangle[seen]
         rgb = self._in_shade[number] + self._by_light[number] * is_lit[seen, None]
         ink = _INK_OPACITY * self._has_edge(view)[seen, None]
-        found[seen, :3] = (1.0 - ink) * rgb + ink * linear(LOOK["ink"])
-        found[seen, 3] = 1.0
-        return found
+        rgba[seen, :3] = (1.0 - ink) * rgb + ink * linear(LOOK["ink"])
+        rgba[seen, 3] = 1.0
+        return rgba
 
     def _table(self, points_m: FloatArray, is_lit: FloatArray, is_table: NDArray[np.bool_]) -> FloatArray:
         place_m = points_m[is_table, :2]
@@ -173,11 +173,11 @@ class _Scene:
         is_line = (1.0 - from_line_m / width_m).clip(0.0, 1.0)[:, None]
         shade = _SHADOW_OPACITY * (1.0 - is_lit[is_table]) * fade
         table = (_TABLE_OPACITY * fade)[:, None]
-        found = np.zeros((*is_table.shape, 4))
+        rgba = np.zeros((*is_table.shape, 4))
         rgb = linear(_TABLE) + 0.6 * is_line * (linear(_GRID) - linear(_TABLE))
-        found[is_table, :3] = rgb * table * (1.0 - shade[:, None])
-        found[is_table, 3] = 1.0 - (1.0 - table[:, 0]) * (1.0 - shade)
-        return found
+        rgba[is_table, :3] = rgb * table * (1.0 - shade[:, None])
+        rgba[is_table, 3] = 1.0 - (1.0 - table[:, 0]) * (1.0 - shade)
+        return rgba
 
     def _is_lit(self, points_m: FloatArray) -> FloatArray:
         """Return how much of the lamp each point sees, 0 to 1, from four places of its picture around the point."""
@@ -197,11 +197,11 @@ class _Scene:
             for values in (self._is_inked, self._part, self._normals)
         )
         inked = is_inked.astype(bool) & (view.triangle >= 0)
-        found = np.zeros(view.triangle.shape, dtype=bool)
+        is_edge = np.zeros(view.triangle.shape, dtype=bool)
         for here, there in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
             folds = np.einsum("...k,...k", normals[here], normals[there]) < _SHARP
-            found[here] |= (inked[here] | inked[there]) & (folds | (part[here] != part[there]))
-        return found
+            is_edge[here] |= (inked[here] | inked[there]) & (folds | (part[here] != part[there]))
+        return is_edge
 
 
 def _across(towards: FloatArray) -> tuple[FloatArray, FloatArray]:

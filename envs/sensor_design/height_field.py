@@ -228,7 +228,7 @@ def _simplified(pieces: Pieces) -> list[tuple[PlanePoint, PlanePoint, bool]]:
         return len(neighbours) == 2 and len({pieces[frozenset((point, n))] for n in neighbours}) == 1
 
     left = dict.fromkeys(sorted(pieces, key=sorted))
-    found = []
+    segments = []
     # Chains between fixed points first; what is left then are closed rings, each begun at its lowest point.
     for start in [*(point for point in sorted(around) if not is_inner(point)), *sorted(around)]:
         for neighbour in around[start]:
@@ -236,8 +236,8 @@ def _simplified(pieces: Pieces) -> list[tuple[PlanePoint, PlanePoint, bool]]:
                 chain = _chain(start, neighbour, around, is_inner, left)
                 kept = _straightened(chain)
                 is_wall = pieces[frozenset(chain[:2])]
-                found += [(a, b, is_wall) for a, b in pairwise(kept)]
-    return found
+                segments += [(a, b, is_wall) for a, b in pairwise(kept)]
+    return segments
 
 
 def _chain(

@@ -132,10 +132,10 @@ class SensorDesign:
         """Where the markers are; `triangles` index the gel's `surface_triangles`."""
         triangles = self.gel.surface_triangles
         eye = (0.0, 0.0, -eye_distance_m(self.gel))
-        found = attach_along_rays(eye, self._drawn_m, self.gel.rest_position_m, triangles, self._senses())
-        outside = (found.faults == Fault.NONE) & ~find_in_picture(self.rest_pixels)
-        found.faults[outside] = Fault.OUT_OF_PICTURE
-        return found
+        attachment = attach_along_rays(eye, self._drawn_m, self.gel.rest_position_m, triangles, self._senses())
+        outside = (attachment.faults == Fault.NONE) & ~find_in_picture(self.rest_pixels)
+        attachment.faults[outside] = Fault.OUT_OF_PICTURE
+        return attachment
 
     @property
     def rest_pixels(self) -> FloatArray:
@@ -146,10 +146,10 @@ class SensorDesign:
     @property
     def printed_m(self) -> FloatArray:
         """Where the attached markers are on the undeformed gel [m], shape [a, 3]; others are left out."""
-        found = self.attachment
-        attached = found.faults == Fault.NONE
-        corners = self.gel.surface_triangles[found.triangles[attached]]
-        return interpolated(self.gel.rest_position_m, corners, found.weights[attached])
+        attachment = self.attachment
+        attached = attachment.faults == Fault.NONE
+        corners = self.gel.surface_triangles[attachment.triangles[attached]]
+        return interpolated(self.gel.rest_position_m, corners, attachment.weights[attached])
 
     @cached_property
     def touched(self) -> FacePlaces:

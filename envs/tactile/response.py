@@ -119,9 +119,9 @@ def _stiffness_blocks_n_m(gel: GelMesh, youngs_modulus_pa: float, poisson_ratio:
 
 def _marker_slopes_px_m(design: SensorDesign) -> FloatArray:
     """Return how the markers' u, then v, change with the position of every node [px/m], shape [2 m, n, 3]."""
-    gel, found = design.gel, design.attachment
-    corners = gel.surface_triangles[found.triangles]
-    centres_m = interpolated(gel.rest_position_m, corners, found.weights)
+    gel, attachment = design.gel, design.attachment
+    corners = gel.surface_triangles[attachment.triangles]
+    centres_m = interpolated(gel.rest_position_m, corners, attachment.weights)
     markers = np.arange(len(corners))
     slopes = np.zeros((2, len(corners), len(gel.rest_position_m), 3))
     for axis in range(3):
@@ -134,7 +134,7 @@ def _marker_slopes_px_m(design: SensorDesign) -> FloatArray:
                 np.add.at(
                     slopes[direction, :, :, axis],
                     (markers, corners[:, k]),
-                    found.weights[:, k] * slope_px_m[:, direction],
+                    attachment.weights[:, k] * slope_px_m[:, direction],
                 )
     return slopes.reshape(-1, *slopes.shape[2:])
 

@@ -144,16 +144,17 @@ class DesignedSensor(TactileSensor):
 
     def __init__(self, design: SensorDesign, settings: MarkerSettings) -> None:
         super().__init__(design.gel, settings)
-        found = design.attachment
-        if found.faults.any():
+        attachment = design.attachment
+        if attachment.faults.any():
             raise MarkersNotAttached(
-                f"{int((found.faults != 0).sum())} of {len(found.faults)} markers are not on a sensing face of the gel."
+                f"{int((attachment.faults != 0).sum())} of {len(attachment.faults)} markers "
+                "are not on a sensing face of the gel."
             )
         self.camera = design.camera
         self._touched = design.touched
-        corners = design.gel.surface_triangles[found.triangles]
+        corners = design.gel.surface_triangles[attachment.triangles]
         self._corners = np.searchsorted(design.gel.sensing_nodes, corners)
-        self._weights = found.weights
+        self._weights = attachment.weights
 
     def surface_diff_m(self, view_m: FloatArray) -> float:
         """Return the mean distance [m] of what the grasp can reach from where it was in the reference."""

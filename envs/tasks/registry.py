@@ -69,8 +69,8 @@ def _loaded(point: EntryPoint) -> TaskDefinition:
             f"{_origin(point)} adds the task {point.value}, which cannot be loaded ({reason})."
         ) from error
     if not isinstance(task, TaskDefinition):
-        found = type(task).__name__
-        raise TaskRejected(f"{_origin(point)} adds {point.value}, expected a TaskDefinition, got {found}.")
+        kind = type(task).__name__
+        raise TaskRejected(f"{_origin(point)} adds {point.value}, expected a TaskDefinition, got {kind}.")
     return task
 
 

@@ -153,12 +153,12 @@ def numbers(env_id: str, option: str, value: Any, count: int, expected: str) -> 
         ResetOptionsError: it is not this number of finite numbers.
     """
     try:
-        found = [float(number) for number in value]
+        read = [float(number) for number in value]
     except (TypeError, ValueError):
-        found = []
-    if len(found) != count or not all(isfinite(number) for number in found):
+        read = []
+    if len(read) != count or not all(isfinite(number) for number in read):
         raise refusal(env_id, option, value, expected)
-    return found
+    return read
 
 
 def refusal(env_id: str, option: str, value: Any, expected: str) -> ResetOptionsError:

@@ -76,7 +76,7 @@ def build_surroundings() -> tuple[tuple[Rectangle, Label], ...]:
 
 def turned_hues(colours: FloatArray, labels: NDArray[np.uint8], look: Look) -> FloatArray:
     """Return the colours of triangles, shape [t, 3], 0 to 255, as they look; a hue is turned about the grey axis."""
-    found = colours.copy()
+    colours_turned = colours.copy()
     turns = (
         (look.peg_hue_deg, (Label.PEG, Label.CLUTTER_OF_PEG)),
         (look.base_hue_deg, (Label.BASE, Label.CLUTTER_OF_BASE)),
@@ -85,8 +85,8 @@ def turned_hues(colours: FloatArray, labels: NDArray[np.uint8], look: Look) -> F
         chosen = np.isin(labels, turned)
         red, green, blue = colours[chosen].T
         for channel, row in enumerate(_about_grey(turn_deg)):
-            found[chosen, channel] = row[0] * red + row[1] * green + row[2] * blue
-    return np.asarray(np.clip(look.brightness * found, 0.0, 255.0))
+            colours_turned[chosen, channel] = row[0] * red + row[1] * green + row[2] * blue
+    return np.asarray(np.clip(look.brightness * colours_turned, 0.0, 255.0))
 
 
 def light_direction(look: Look) -> tuple[float, float, float]:

@@ -56,12 +56,12 @@ class Controller:
     def _updated(self, features: Vector) -> list[float]:
         """Return the estimate, old and new weighed by their variances (a scalar Kalman filter for each axis)."""
         regression = self._regressions[min(self._env_steps, len(self._regressions) - 1)]
-        found = regression.predict(append_motion(features, self._last_motion, self._scale))
+        predicted = regression.predict(append_motion(features, self._last_motion, self._scale))
         if self._estimate is None:
             self._variances = list(regression.variances)
-            return found
+            return predicted
         estimate = []
-        for axis, (old, new) in enumerate(zip(self._estimate, found, strict=True)):
+        for axis, (old, new) in enumerate(zip(self._estimate, predicted, strict=True)):
             before = self._variances[axis] + _MOTION_VARIANCE
             gain = before / (before + regression.variances[axis])
             self._variances[axis] = (1.0 - gain) * before
@@ -135,8 +135,8 @@ def _field(reference: list[list[float]], current: list[list[float]]) -> list[flo
     squares, products = normal_equations(rows, motions)
     for term in range(_TERMS):
         squares[term][term] += _RIDGE
-    found = solve(squares, products)
-    return [row[direction] for direction in range(2) for row in found]
+    coefficients = solve(squares, products)
+    return [row[direction] for direction in range(2) for row in coefficients]
 
 
 SEED: Final = 20_250_131
@@ -174,7 +174,7 @@ def calibrate(
     return Coefficients(
         mesh_hash=env.mesh_hash(),
         starts=starts,
-        regressions=tuple(fit(*map(list, zip(*found, strict=True))) for found in samples if found),
+        regressions=tuple(fit(*map(list, zip(*sample, strict=True))) for sample in samples if sample),
     )
 
 

@@ -32,13 +32,13 @@ def solve(matrix: Sequence[Row], right: Sequence[Row]) -> list[list[float]]:
         for row in range(column + 1, n):
             factor = rows[row][column] / head[column]
             rows[row] = [value - factor * above for value, above in zip(rows[row], head, strict=True)]
-    found: list[list[float]] = [[] for _ in range(n)]
+    solution: list[list[float]] = [[] for _ in range(n)]
     for row in reversed(range(n)):
         values = rows[row][n:]
         for other in range(row + 1, n):
-            values = [value - rows[row][other] * known for value, known in zip(values, found[other], strict=True)]
-        found[row] = [value / rows[row][row] for value in values]
-    return found
+            values = [value - rows[row][other] * known for value, known in zip(values, solution[other], strict=True)]
+        solution[row] = [value / rows[row][row] for value in values]
+    return solution
 
 
 def normal_equations(rows: Sequence[Row], targets: Sequence[Row]) -> tuple[list[list[float]], list[list[float]]]:
@@ -76,11 +76,11 @@ class Regression(StrictModel):
 
     def predict(self, features: Row) -> list[float]:
         """Return the targets, shape [m]."""
-        found = list(self.weights[0])
+        predicted = list(self.weights[0])
         for value, mean, scale, row in zip(features, self.means, self.scales, self.weights[1:], strict=True):
             standard = (value - mean) / scale
-            found = [total + standard * weight for total, weight in zip(found, row, strict=True)]
-        return found
+            predicted = [total + standard * weight for total, weight in zip(predicted, row, strict=True)]
+        return predicted
 
 
 class Coefficients(StrictModel):
@@ -129,7 +129,7 @@ def fit(rows: Sequence[Row], targets: Sequence[Row]) -> Regression:
         means=tuple(means), scales=tuple(scales), weights=tuple(map(tuple, weights)), variances=(0.0,) * len(targets[0])
     )
     errors = [
-        [found - wanted for found, wanted in zip(fitted.predict(row), target, strict=True)]
+        [predicted - wanted for predicted, wanted in zip(fitted.predict(row), target, strict=True)]
         for row, target in zip(rows, targets, strict=True)
     ]
     variances = [_mean([error * error for error in column]) + _LEAST_VARIANCE for column in zip(*errors, strict=True)]

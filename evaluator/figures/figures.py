@@ -210,7 +210,7 @@ def merged(parts: Iterable[FiguresPart], offsets: Sequence[Sequence[float]]) -> 
 
 
 def expected_information(
-    found: Sequence[Sequence[Symmetric]], offsets: Sequence[Sequence[float]]
+    matrices: Sequence[Sequence[Symmetric]], offsets: Sequence[Sequence[float]]
 ) -> Information | None:
     """Return what pictures say about the offset, with the covariance S of the starts as that of a normal prior.
 
@@ -219,18 +219,20 @@ def expected_information(
     Science 10 (1995) 273-304, section 4); both are averaged over the starts.
 
     Args:
-        found: Fisher information of one, two and three pictures at every start.
+        matrices: Fisher information of one, two and three pictures at every start.
         offsets: of the starts, whose distribution is the prior [mm, mm, deg].
     """
-    if not found:
+    if not matrices:
         return None
     prior = _covariance(offsets)
     precision = _inverse(prior)
     bits = []
     for pictures in range(ENV_STEPS):
-        gains = [_determinant(_sum(precision, _matrix(start[pictures]))) / _determinant(precision) for start in found]
+        gains = [
+            _determinant(_sum(precision, _matrix(start[pictures]))) / _determinant(precision) for start in matrices
+        ]
         bits.append(sum(0.5 * math.log2(gain) for gain in gains) / len(gains))
-    posteriors = [_inverse(_sum(precision, _matrix(start[-1]))) for start in found]
+    posteriors = [_inverse(_sum(precision, _matrix(start[-1]))) for start in matrices]
     x, y, theta = (math.sqrt(sum(of[k][k] for of in posteriors) / len(posteriors)) for k in range(3))
     prior_x, prior_y, prior_theta = (rounded(math.sqrt(prior[k][k])) for k in range(3))
     return Information(

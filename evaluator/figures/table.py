@@ -48,7 +48,7 @@ def list_missing_rows(figures: SensorFigures) -> Iterator[str]:
 
 def _values(figures: SensorFigures) -> dict[str, tuple[float | None, str]]:
     touch, grasp, information = figures.touch, figures.grasp, figures.information
-    found: dict[str, tuple[float | None, str]] = {
+    values: dict[str, tuple[float | None, str]] = {
         "sensitivity, normal": (touch.normal_px_n, "px/N"),
         "sensitivity, shear": (touch.shear_px_n, "px/N"),
         "resolution of a pin": (touch.pin_mm, "mm at 1 N"),
@@ -60,14 +60,14 @@ def _values(figures: SensorFigures) -> dict[str, tuple[float | None, str]]:
     }
     if information is not None:
         for number, bits in enumerate(information.bits, start=1):
-            found[f"information before env step {number}"] = (bits, "bit")
+            values[f"information before env step {number}"] = (bits, "bit")
         for axis, bound, unit in zip(("x", "y", "theta"), information.bounds, ("mm", "mm", "deg"), strict=True):
-            found[f"bound of {axis} before env step {len(information.bits)}"] = (bound, unit)
+            values[f"bound of {axis} before env step {len(information.bits)}"] = (bound, unit)
     for row in figures.robustness:
-        found[f"standard score, {row.variation.label}"] = (100 * row.success_rate, "%")
+        values[f"standard score, {row.variation.label}"] = (100 * row.success_rate, "%")
     if figures.cpu_s is not None:
-        found["CPU time of an episode"] = (figures.cpu_s, "s")
-    return found
+        values["CPU time of an episode"] = (figures.cpu_s, "s")
+    return values
 
 
 FILE = Path(__file__).with_name("reference.json")

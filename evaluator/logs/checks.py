@@ -89,26 +89,26 @@ def explain_impossible_record(task: Task, record: EpisodeRecord) -> Impossibilit
     """Return why no evaluation of the task can have made a record; None if one can."""
     place = f"Episode {record.episode}"
 
-    def found(reason: ImpossibleReason, message: str) -> Impossibility:
+    def impossible(reason: ImpossibleReason, message: str) -> Impossibility:
         return Impossibility(reason=reason, message=message, episode=record.episode)
 
     if record.task != task.name:
         message = f"{place} is of task {record.task!r}, expected {task.name!r}."
-        return found(ImpossibleReason.OTHER_TASK, message)
+        return impossible(ImpossibleReason.OTHER_TASK, message)
     if record.episode > len(task.episodes):
-        return found(ImpossibleReason.NOT_IN_LIST, f"{place} is not in the list of {len(task.episodes)} episodes.")
+        return impossible(ImpossibleReason.NOT_IN_LIST, f"{place} is not in the list of {len(task.episodes)} episodes.")
     listed = task.episodes[record.episode - 1]
     if (record.shape, record.initial_offset) != (listed.shape, listed.offset):
         expected, got = f"{listed.shape} at {listed.offset}", f"{record.shape} at {record.initial_offset}"
-        return found(ImpossibleReason.OTHER_START, f"{place}: expected the start {expected}, got {got}.")
+        return impossible(ImpossibleReason.OTHER_START, f"{place}: expected the start {expected}, got {got}.")
     if record.env_steps > task.max_steps:
         message = f"{place} has {record.env_steps} env steps, expected at most {task.max_steps}."
-        return found(ImpossibleReason.TOO_MANY_STEPS, message)
+        return impossible(ImpossibleReason.TOO_MANY_STEPS, message)
     try:
         outside = out_of_bounds(task, make_recording(record, task).actions)
     except RecordingRejected as error:
-        return found(ImpossibleReason.WRONG_ACTION, str(error))
-    return found(ImpossibleReason.WRONG_ACTION, f"{place} {outside}") if outside else None
+        return impossible(ImpossibleReason.WRONG_ACTION, str(error))
+    return impossible(ImpossibleReason.WRONG_ACTION, f"{place} {outside}") if outside else None
 
 
 def out_of_bounds(task: Task, actions: NDArray[np.float32]) -> str | None:

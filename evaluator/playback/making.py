@@ -94,13 +94,13 @@ def find_start(task: Task, record: EpisodeRecord, list_seed: int | None = None) 
     )
 
 
-def require_same_state(found: str, record: EpisodeRecord, env_step: int) -> None:
+def require_same_state(state_hash: str, record: EpisodeRecord, env_step: int) -> None:
     """Compare a state hash with that of the record.
 
     Raises:
         StatesDiffer: it is another one, or the record ends before.
     """
-    if env_step >= len(record.state_hashes) or found != record.state_hashes[env_step]:
+    if env_step >= len(record.state_hashes) or state_hash != record.state_hashes[env_step]:
         raise StatesDiffer(
             f"The state after env step {env_step} is not the recorded one: the episode was recorded with another "
             "evaluator or on another platform class, so it cannot be shown here."

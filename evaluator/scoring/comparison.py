@@ -163,19 +163,19 @@ def sensing_gain(standard: Collection[FinishedEpisode], blind: Collection[Finish
     seeing, unseeing = ({end.episode: end for end in ends} for ends in (standard, blind))
     if not seeing or seeing.keys() != unseeing.keys():
         raise RunsDiffer(f"Expected both runs on the same episodes, got {len(seeing)} and {len(unseeing)}.")
-    found = Comparison(
+    compared = Comparison(
         pairs=tuple(EpisodePair(first=seeing[number], second=unseeing[number]) for number in sorted(seeing)), unpaired=0
     )
-    low, high = found.interval
+    low, high = compared.interval
     return SensingGain(
-        episodes=len(found.pairs),
-        starts=len(found.by_start),
-        standard_successes=found.both + found.only_first,
-        blind_successes=found.both + found.only_second,
-        gain=found.difference,
+        episodes=len(compared.pairs),
+        starts=len(compared.by_start),
+        standard_successes=compared.both + compared.only_first,
+        blind_successes=compared.both + compared.only_second,
+        gain=compared.difference,
         low=low,
         high=high,
-        p_value=found.p_value,
+        p_value=compared.p_value,
     )
 
 

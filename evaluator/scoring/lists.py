@@ -41,10 +41,10 @@ def _successes(starts: EpisodeList, records: Collection[EpisodeRecord]) -> dict[
     solved = {record.episode: record.success for record in records}
     shapes = [start.shape for block in starts.blocks for start in block.starts]
     counts = Counter(start for number, start in enumerate(_start_of_each_episode(starts), start=1) if solved[number])
-    found: dict[str, list[int]] = {}
+    by_shape: dict[str, list[int]] = {}
     for start, shape in enumerate(shapes):
-        found.setdefault(shape, []).append(counts[start])
-    return found
+        by_shape.setdefault(shape, []).append(counts[start])
+    return by_shape
 
 
 def _start_of_each_episode(starts: EpisodeList) -> Iterator[int]:

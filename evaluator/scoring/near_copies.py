@@ -114,16 +114,16 @@ def _motion(info: Mapping[str, Any]) -> list[float]:
 
 def _measured(info: Mapping[str, Any]) -> list[float]:
     """Return what was measured [mm]: mean motion of the gels' marked faces, and where a key's teeth are."""
-    found = [1e3 * np.asarray(info["surface_diff_m"], float)] if "surface_diff_m" in info else []
-    found += [1e3 * np.mean(info[key], axis=0) for key in sorted(info) if re.fullmatch(r"key\w+_pts_m", key)]
-    return np.concatenate(found).tolist() if found else []
+    columns = [1e3 * np.asarray(info["surface_diff_m"], float)] if "surface_diff_m" in info else []
+    columns += [1e3 * np.mean(info[key], axis=0) for key in sorted(info) if re.fullmatch(r"key\w+_pts_m", key)]
+    return np.concatenate(columns).tolist() if columns else []
 
 
 def _path(infos: Sequence[Mapping[str, Any]], numbers: int) -> NDArray[np.float32]:
     """Return the states of an episode along its commanded way, whatever the time that it takes."""
-    found = np.full((PATH_POINTS, numbers), np.nan, np.float32)
+    points = np.full((PATH_POINTS, numbers), np.nan, np.float32)
     if not infos or not numbers:
-        return found
+        return points
     motion = np.array([_motion(info) for info in infos])
     motion = np.concatenate([np.zeros((1, motion.shape[1])), motion])
     measured = np.array([_measured(info) for info in infos])
@@ -133,8 +133,8 @@ def _path(infos: Sequence[Mapping[str, Any]], numbers: int) -> NDArray[np.float3
     way = np.concatenate([[0.0], np.linalg.norm(np.diff(motion, axis=0), axis=1).cumsum()])
     at = PATH_STEP * np.arange(1, PATH_POINTS + 1)
     states = np.concatenate([motion, measured], axis=1)
-    found[:] = np.stack([np.interp(at, way, column, right=np.nan) for column in states.T], axis=1)
-    return found
+    points[:] = np.stack([np.interp(at, way, column, right=np.nan) for column in states.T], axis=1)
+    return points
 
 
 def _same_way(earlier: Trace, later: Trace) -> NDArray[np.bool_]:
@@ -159,12 +159,12 @@ def _own_values(trace: Actions) -> NDArray[np.bool_]:
 def _moves_alike(earlier: Actions, later: Actions) -> NDArray[np.bool_]:
     """Return in which episodes the later one commands the earlier one's motion, perhaps some env steps later."""
     ours, theirs = (np.where(np.isnan(trace), 0.0, trace).cumsum(axis=1) for trace in (earlier, later))
-    found = np.zeros(len(earlier), bool)
+    alike = np.zeros(len(earlier), bool)
     for delay in range(MAX_DELAY + 1):
         waits = np.abs(theirs[:, :delay]).max(axis=(1, 2), initial=0.0) <= TOLERANCE
         lead = np.where(np.isnan(earlier[:, : TRACED_STEPS - delay]), np.nan, ours[:, : TRACED_STEPS - delay])
-        found |= waits & (_largest(lead - theirs[:, delay:]) <= TOLERANCE)
-    return found
+        alike |= waits & (_largest(lead - theirs[:, delay:]) <= TOLERANCE)
+    return alike
 
 
 def _largest(differences: NDArray[np.floating]) -> NDArray[np.floating]:

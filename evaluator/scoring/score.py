@@ -34,20 +34,20 @@ class ForceSummary(StrictModel):
 
 def summarize_forces(forces: Iterable[ContactForces | None]) -> ForceSummary | None:
     """Return the forces of an evaluation, those of gels where all are recorded; None where no record has any."""
-    found = [each for each in forces if each is not None]
-    if not found:
+    measured = [each for each in forces if each is not None]
+    if not measured:
         return None
-    events = [each.over_force_events for each in found]
-    gels = [each.gels for each in found if each.gels is not None]
+    events = [each.over_force_events for each in measured]
+    gels = [each.gels for each in measured if each.gels is not None]
     return ForceSummary(
-        episodes=len(found),
-        part=_medians([[each.part] for each in found]),
-        gel=_medians(gels) if len(gels) == len(found) else None,
-        over_force_n=found[0].over_force_n,
+        episodes=len(measured),
+        part=_medians([[each.part] for each in measured]),
+        gel=_medians(gels) if len(gels) == len(measured) else None,
+        over_force_n=measured[0].over_force_n,
         over_force_events=sum(events),
         over_force_episodes=sum(map(bool, events)),
-        largest_stretch=_median(each.largest_stretch for each in found),
-        high_stretch=_median(each.high_stretch for each in found),
+        largest_stretch=_median(each.largest_stretch for each in measured),
+        high_stretch=_median(each.high_stretch for each in measured),
     )
 
 
@@ -269,8 +269,8 @@ def score(records: Collection[EpisodeRecord], measures: Iterable[Measure] = ()) 
 def _read_measures(record: EpisodeRecord, measures: Iterable[Measure]) -> dict[str, float]:
     """Return what an episode has of what boards may rank by, after its last env step."""
     end = record.infos[-1] if record.infos else {}
-    found = {measure.name: measure.read_end(end) for measure in measures if measure.better is not None}
-    return {name: value for name, value in found.items() if value is not None and isfinite(value)}
+    values = {measure.name: measure.read_end(end) for measure in measures if measure.better is not None}
+    return {name: value for name, value in values.items() if value is not None and isfinite(value)}
 
 
 def _average_shared(measured: Sequence[Mapping[str, float]]) -> dict[str, float]:

@@ -89,11 +89,11 @@ def accepted_sensor(path: Path) -> CheckedSensor:
         SensorRefused: it breaks one.
         SensorRejected: sensor.yaml cannot be used.
     """
-    found = check_sensor(path)
-    if not found.ok:
-        broken = next(finding for finding in found.findings if not finding.ok)
+    checked = check_sensor(path)
+    if not checked.ok:
+        broken = next(finding for finding in checked.findings if not finding.ok)
         raise SensorRefused(f"{broken.rule}: {broken.value}, expected {broken.limit}. {broken.problem}")
-    return found
+    return checked
 
 
 def _files(path: Path) -> tuple[SensorManifest, Path, Path | None]:

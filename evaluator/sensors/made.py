@@ -94,9 +94,9 @@ class MadeSensor(StrictModel):
         )
 
 
-def made_sensor(found: CheckedSensor) -> MadeSensor:
+def made_sensor(checked: CheckedSensor) -> MadeSensor:
     """Return the sensor of a check without problems."""
-    meshed, design = found.meshed, found.design
+    meshed, design = checked.meshed, checked.design
     if meshed is None or design is None:
         raise ValueError("expected a sensor that keeps to every rule")
     mesh, camera = meshed.mesh, design.camera

@@ -42,18 +42,18 @@ def design_document(folder: Path) -> DesignDocument:
     for name in (SENSOR_NAME, GEL_NAME):
         if not find_spelling(folder, name).is_file():
             raise SensorRejected(f"{name} is missing; put it beside submission.yaml.")
-    found = sorted(_documents(folder))
-    if len(found) != 1:
-        names = ", ".join(path.name for path in found[:5]) or "none"
+    documents = sorted(_documents(folder))
+    if len(documents) != 1:
+        names = ", ".join(path.name for path in documents[:5]) or "none"
         raise SensorRejected(
             f"Expected one design document (a .pdf or .md file beside submission.yaml, not README.md), got {names}."
         )
-    n_bytes = found[0].stat().st_size
+    n_bytes = documents[0].stat().st_size
     if not 0 < n_bytes <= MAX_DOCUMENT_BYTES:
         raise SensorRejected(
             f"The design document has {n_bytes} bytes, expected 1 to {MAX_DOCUMENT_BYTES}; make it smaller."
         )
-    return DesignDocument(path=found[0], n_bytes=n_bytes)
+    return DesignDocument(path=documents[0], n_bytes=n_bytes)
 
 
 def _documents(folder: Path) -> Iterator[Path]:

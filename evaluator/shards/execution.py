@@ -94,8 +94,8 @@ def _explain_impossible(part: LogShard, manifest: Manifest) -> LogFinding | None
     """Return the upload was checked, but not against the mesh and the solver, which only an environment knows."""
     with open_log(part.log) as stream:
         reader = LogReader(stream)
-        found = explain_impossible(must_agree(manifest), part.task, reader.header, reader.records())
-    return LogFinding.impossible(found) if found else None
+        impossibility = explain_impossible(must_agree(manifest), part.task, reader.header, reader.records())
+    return LogFinding.impossible(impossibility) if impossibility else None
 
 
 def _first_divergence(

@@ -135,13 +135,15 @@ class SimulationHost:
             return False
         key = (task.env_id, sensor)
         if key not in self._calibrations:
-            found = _Calibration(task=task, sensor=sensor, memory=os.memfd_create("coefficients"))
-            self._calibrations[key] = found
-            found.waiting.append(ordered)
+            calibration = _Calibration(task=task, sensor=sensor, memory=os.memfd_create("coefficients"))
+            self._calibrations[key] = calibration
+            calibration.waiting.append(ordered)
             with ordered.connection.dup() as answers:  # a copy closes those of all that wait
-                if not self._fork(partial(_calibrate, found, answers), partial(self._end_calibration, found)):
-                    os.close(found.memory)
-                    found.waiting.clear()
+                if not self._fork(
+                    partial(_calibrate, calibration, answers), partial(self._end_calibration, calibration)
+                ):
+                    os.close(calibration.memory)
+                    calibration.waiting.clear()
         elif self._calibrations[key].waiting:
             self._calibrations[key].waiting.append(ordered)
         return bool(self._calibrations[key].waiting)

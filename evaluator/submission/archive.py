@@ -302,10 +302,10 @@ def _top_folder(paths: set[str]) -> str:
     names = {path.partition("/")[0] for path in paths}
     if len(names) == 1 and (name := names.copy().pop()) in allowed:
         return name
-    found = ", ".join(repr(name)[:_SHOWN_CHARACTERS] for name in sorted(names)[:5]) or "nothing"
+    tops = ", ".join(repr(name)[:_SHOWN_CHARACTERS] for name in sorted(names)[:5]) or "nothing"
     raise ArchiveRejected(
         ArchiveFault.WRONG_TOP_FOLDER,
-        f"The archive holds {found}, expected one folder {' or '.join(allowed)}{_mend(paths, names, allowed)}.",
+        f"The archive holds {tops}, expected one folder {' or '.join(allowed)}{_mend(paths, names, allowed)}.",
     )
 
 

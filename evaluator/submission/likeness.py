@@ -100,7 +100,7 @@ def make_sketch(folder: Path) -> ArchiveSketch:
     code = np.full(_MINIMA, _NOTHING, np.uint64)
     arrays: list[NDArray[np.float32]] = []
     code_left, left = _CODE_BYTES, _ALL_BYTES
-    for path in sorted(found for found in folder.rglob("*") if found.is_file() and not found.is_symlink()):
+    for path in sorted(each for each in folder.rglob("*") if each.is_file() and not each.is_symlink()):
         is_code = path.suffix == _CODE_SUFFIX
         if is_code or path.suffix in WEIGHTS_SUFFIXES:
             with path.open("rb") as file:
@@ -135,7 +135,7 @@ def compare_sketches(first: ArchiveSketch, second: ArchiveSketch) -> ArchiveLike
     common, larger = sum(best), max(first.sizes.sum(), second.sizes.sum())
     if 2 * common < larger:
         return ArchiveLikeness(code=code, weights=0.0)
-    return ArchiveLikeness(code=code, weights=sum(size * found for size, found in best.items()) / common)
+    return ArchiveLikeness(code=code, weights=sum(size * likeness for size, likeness in best.items()) / common)
 
 
 def _minima(content: bytes) -> NDArray[np.uint64]:
@@ -154,11 +154,11 @@ def _minima(content: bytes) -> NDArray[np.uint64]:
     except (SyntaxError, tokenize.TokenError, UnicodeDecodeError):
         pass  # what was read until there is compared
     runs = {" ".join(tokens[at : at + _SHINGLE]) for at in range(len(tokens) - _SHINGLE + 1)}
-    found = np.full(_MINIMA, _NOTHING, np.uint64)
+    minima = np.full(_MINIMA, _NOTHING, np.uint64)
     for run in runs:
         hashed = np.uint64(int.from_bytes(hashlib.blake2b(run.encode(), digest_size=8).digest(), "little"))
-        found = np.minimum(found, hashed * _FACTORS + _SUMMANDS)
-    return found
+        minima = np.minimum(minima, hashed * _FACTORS + _SUMMANDS)
+    return minima
 
 
 def _arrays(name: str, content: bytes) -> Iterator[NDArray[np.float32]]:
@@ -204,8 +204,8 @@ def _strip_header(content: bytes) -> tuple[bytes, str]:
 
 
 def _largest(arrays: list[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
-    found = [array for array in arrays if array.size >= _FEWEST_FLOATS]
-    return sorted(found, key=lambda array: array.size, reverse=True)[:_ARRAYS]
+    large = [array for array in arrays if array.size >= _FEWEST_FLOATS]
+    return sorted(large, key=lambda array: array.size, reverse=True)[:_ARRAYS]
 
 
 def _sample(array: NDArray[np.float32]) -> NDArray[np.float16]:

@@ -122,9 +122,9 @@ def stage(
         read_manifest_file(source, limits)  # refuses the folder of another track
         folder = unpack(source, destination, limits)
     else:
-        found = find_submission(source)
-        top = top_folder(found)
-        folder = write(_folder_entries(found, top, limits), destination, top, limits)
+        submission = find_submission(source)
+        top = top_folder(submission)
+        folder = write(_folder_entries(submission, top, limits), destination, top, limits)
     unpack_wheels(folder, limits)
     return folder
 
@@ -169,8 +169,8 @@ def submission_digest(source: Path, limits: Limits | None = None, kind: Submissi
         if source.is_file():
             _, entries = packed_entries(exits.enter_context(source.open("rb")), limits, exits)
         else:
-            found = find_submission(source)
-            entries = _folder_entries(found, top_folder(found), limits)
+            submission = find_submission(source)
+            entries = _folder_entries(submission, top_folder(submission), limits)
         return _digest(entries)
 
 

@@ -310,10 +310,10 @@ def _place(entries: Iterable[ArchiveEntry]) -> Iterator[ArchiveEntry]:
 
 def _read_metadata(entries: Iterable[ArchiveEntry], file: str) -> Metadata:
     """Return the metadata; the folder that holds it has the name by which the package is listed."""
-    found = {entry.path: entry for entry in entries if re.fullmatch(r"[^/]+\.dist-info/[^/]+", entry.path)}
-    folders = {path.partition("/")[0] for path in found}
+    by_path = {entry.path: entry for entry in entries if re.fullmatch(r"[^/]+\.dist-info/[^/]+", entry.path)}
+    folders = {path.partition("/")[0] for path in by_path}
     folder = next(iter(folders), "")
-    entry = found.get(f"{folder}/METADATA")
+    entry = by_path.get(f"{folder}/METADATA")
     if len(folders) != 1 or entry is None:
         raise _rejected(f"{file} is no wheel: expected one folder .dist-info with METADATA, got {listed(folders)}.")
     if entry.n_bytes > _METADATA_BYTES:

@@ -82,19 +82,19 @@ def _track_files() -> Mapping[str, Path]:
 
 @cache
 def _tracks(further: str | None) -> tuple[Track, ...]:
-    found = map(_read, _find_track_files(further).values())
-    return tuple(sorted(found, key=lambda track: (track.has_maniskill, track.name)))
+    read = map(_read, _find_track_files(further).values())
+    return tuple(sorted(read, key=lambda track: (track.has_maniskill, track.name)))
 
 
 @cache
 def _tracks_by_task(further: str | None) -> Mapping[str, Track]:
-    found: dict[str, Track] = {}
+    by_task: dict[str, Track] = {}
     for track in _tracks(further):
         for task in track.tasks:
-            if task in found:
-                raise DocumentRejected(f"The tracks {found[task].name} and {track.name} both have a task {task!r}.")
-            found[task] = track
-    return found
+            if task in by_task:
+                raise DocumentRejected(f"The tracks {by_task[task].name} and {track.name} both have a task {task!r}.")
+            by_task[task] = track
+    return by_task
 
 
 @cache

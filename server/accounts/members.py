@@ -85,12 +85,12 @@ def withdraw_invitation(session: Session, by: Principal, team: Team, invitation_
         ServiceError: not the captain, or the team has no such invitation, or it was used.
     """
     by.require_leader(team.id)
-    found = session.get(Invitation, invitation_id, with_for_update=True)
-    if found is None or found.team_id != team.id or found.used_at is not None:
+    invitation = session.get(Invitation, invitation_id, with_for_update=True)
+    if invitation is None or invitation.team_id != team.id or invitation.used_at is not None:
         raise not_found("open invitation", invitation_id)
-    if found.revoked_at is None:
-        found.revoked_at = read_clock(session)
-        record(session, by, "member.uninvite", f"team:{team.id}", {"invitation": str(found.id)})
+    if invitation.revoked_at is None:
+        invitation.revoked_at = read_clock(session)
+        record(session, by, "member.uninvite", f"team:{team.id}", {"invitation": str(invitation.id)})
 
 
 def join(session: Session, new: JoiningMember, lifetime: timedelta) -> tuple[Member, IssuedToken]:
@@ -99,21 +99,26 @@ def join(session: Session, new: JoiningMember, lifetime: timedelta) -> tuple[Mem
     Raises:
         ServiceError: the code is unknown, used or expired, teams are locked, or the name is taken or cannot be shown.
     """
-    found = session.scalar(
+    invitation = session.scalar(
         select(Invitation).where(Invitation.code_sha256 == tokens.hash_secret(new.code.strip())).with_for_update()
     )
-    if found is None or found.used_at or found.revoked_at or found.expires_at <= read_clock(session):
+    if (
+        invitation is None
+        or invitation.used_at
+        or invitation.revoked_at
+        or invitation.expires_at <= read_clock(session)
+    ):
         raise ServiceError(
             ProblemCode.INVITE_REQUIRED, "This code is unknown, used or expired; ask the team's captain for a new one."
         )
-    team = found.team
+    team = invitation.team
     teams.require_unlocked(session, None)
     teams.lock(session, team)
     shown = names.clean(new.name, what="A member's name", min_length=2, max_length=teams.NAME_LENGTH)
     key = teams.name_key(shown)
     if session.scalar(select(Member.id).where(Member.team_id == team.id, Member.name_key == key)) is not None:
         raise ServiceError(ProblemCode.NAME_TAKEN, f"{team.name} has or had a member named {shown!r}; choose another.")
-    leads = found.leads and is_unclaimed(session, team)
+    leads = invitation.leads and is_unclaimed(session, team)
     if leads:
         session.delete(find_captain(session, team))
         session.flush()
@@ -126,11 +131,11 @@ def join(session: Session, new: JoiningMember, lifetime: timedelta) -> tuple[Mem
         password_hash=new.password_hash,
     )
     session.add(member)
-    found.used_at = read_clock(session)
+    invitation.used_at = read_clock(session)
     session.flush()
     _ask_to_confirm(session, member)
     by = Principal(role=Role.TEAM, team_id=team.id, team_name=team.name, member_id=member.id, member_name=shown)
-    record(session, by, "member.join", f"member:{member.id}", {"name": shown, "invitation": str(found.id)})
+    record(session, by, "member.join", f"member:{member.id}", {"name": shown, "invitation": str(invitation.id)})
     return member, tokens.issue_to_member(session, by, member, lifetime)
 
 
@@ -320,12 +325,12 @@ def sign_in(database: Database, team: str, name: str, password: str, lifetime: t
     """
     wanted = Team.name_key == teams.name_key(team), Member.name_key == teams.name_key(name), Member.left_at.is_(None)
     with database.reading() as session:
-        found = session.execute(select(Member.id, Member.password_hash).join(Team).where(*wanted)).one_or_none()
-    if not passwords.is_right(password, found.password_hash if found is not None else None) or found is None:
+        row = session.execute(select(Member.id, Member.password_hash).join(Team).where(*wanted)).one_or_none()
+    if not passwords.is_right(password, row.password_hash if row is not None else None) or row is None:
         raise ServiceError(ProblemCode.INVALID_CREDENTIALS, WRONG_PASSWORD)
     with database.transaction() as session:
-        member = session.get_one(Member, found.id, with_for_update=True)
-        if member.password_hash != found.password_hash:  # changed meanwhile, or they have left
+        member = session.get_one(Member, row.id, with_for_update=True)
+        if member.password_hash != row.password_hash:  # changed meanwhile, or they have left
             raise ServiceError(ProblemCode.INVALID_CREDENTIALS, WRONG_PASSWORD)
         return tokens.begin_session(session, member, lifetime)
 
@@ -336,10 +341,10 @@ def find(session: Session, by: Principal, team_id: UUID, member_id: UUID) -> Mem
     Raises:
         ServiceError: there is none that the principal may see.
     """
-    found = session.get(Member, member_id)
-    if found is None or found.team_id != team_id or not by.may_change(team_id):
+    member = session.get(Member, member_id)
+    if member is None or member.team_id != team_id or not by.may_change(team_id):
         raise not_found("member", member_id)
-    return found
+    return member
 
 
 def find_captain(session: Session, team: Team) -> Member:
@@ -365,7 +370,9 @@ def own_team_view(session: Session, by: Principal, team: Team) -> OwnTeamView:
     return OwnTeamView(
         **dict(teams.organizer_team_view(session, team)),
         members=[_member_view(member) for member in list_team_members(session, team.id)],
-        invitations=[InvitationView.model_validate(found, from_attributes=True) for found in session.scalars(usable)],
+        invitations=[
+            InvitationView.model_validate(invitation, from_attributes=True) for invitation in session.scalars(usable)
+        ],
     )
 
 

@@ -46,14 +46,14 @@ def merge(session: Session, by: Principal, team: Team, into: Team) -> None:
     if team.id == into.id:
         raise ServiceError(ProblemCode.INVALID_REQUEST, f"{team.name} cannot be merged with itself; name two teams.")
     # In the order of their ids, so that two merges cannot wait for each other; nobody adds a row to them meanwhile.
-    found = list(
+    both = list(
         session.scalars(select(Team).where(Team.id.in_([team.id, into.id])).order_by(Team.id).with_for_update())
     )
-    if len(found) < 2:
+    if len(both) < 2:
         raise ServiceError(
             ProblemCode.UNKNOWN_TEAM, "One of the teams was merged with another one. Check it and try again."
         )
-    for one in found:
+    for one in both:
         session.refresh(one)
         teams.require_taking_part(one)
     before = {"teams": [team.name, into.name], "merged": str(team.id)}
@@ -123,9 +123,9 @@ def _numbered(name: str, number: int) -> str:
 
 def _move_conflicts(session: Session, team: Team, into: Team) -> None:
     """Let judges with a conflict of interest with one team have it with both; a reason against the other one stays."""
-    for found in session.scalars(select(JudgingConflict).where(JudgingConflict.team_id == team.id)).all():
+    for conflict in session.scalars(select(JudgingConflict).where(JudgingConflict.team_id == team.id)).all():
         kept = insert(JudgingConflict).values(
-            team_id=into.id, judge=found.judge, reason=found.reason, declared_at=found.declared_at
+            team_id=into.id, judge=conflict.judge, reason=conflict.reason, declared_at=conflict.declared_at
         )
         session.execute(kept.on_conflict_do_nothing())
     session.flush()
@@ -157,13 +157,13 @@ def _move_briefs_and_attempts(session: Session, team: Team, into: Team) -> None:
 
 
 def _move_qualifications(session: Session, team: Team, into: Team) -> None:
-    for found in session.scalars(select(Qualification).where(Qualification.team_id == team.id)).all():
+    for qualification in session.scalars(select(Qualification).where(Qualification.team_id == team.id)).all():
         kept = insert(Qualification).values(
-            competition=found.competition,
-            track=found.track,
-            stage=found.stage,
+            competition=qualification.competition,
+            track=qualification.track,
+            stage=qualification.stage,
             team_id=into.id,
-            confirmed_at=found.confirmed_at,
+            confirmed_at=qualification.confirmed_at,
         )
         session.execute(kept.on_conflict_do_nothing())
     session.flush()

@@ -98,14 +98,14 @@ def withdraw_announcement(session: Session, by: Principal, announcement_id: int)
         ServiceError: not an organizer, or there is no such announcement.
     """
     by.require_organizer(by.competition)
-    found = session.get(Announcement, announcement_id, with_for_update=True)
-    if found is None:
+    announcement = session.get(Announcement, announcement_id, with_for_update=True)
+    if announcement is None:
         raise not_found("announcement", announcement_id)
-    by.require_organizer(found.competition or None)
-    if found.withdrawn_at is None:
-        found.withdrawn_at = read_clock(session)
-        after, before = {"shown": False}, {"shown": True, "title": found.title}
-        record(session, by, "announcement.withdraw", f"announcement:{found.id}", after, before=before)
+    by.require_organizer(announcement.competition or None)
+    if announcement.withdrawn_at is None:
+        announcement.withdrawn_at = read_clock(session)
+        after, before = {"shown": False}, {"shown": True, "title": announcement.title}
+        record(session, by, "announcement.withdraw", f"announcement:{announcement.id}", after, before=before)
 
 
 def list_announcements(
@@ -176,12 +176,12 @@ def answer_question(session: Session, by: Principal, question_id: int, text: str
     """
     by.require_organizer()
     kept = clean_text(text, what="An answer")
-    found = _locked(session, question_id)
-    before = {"answer": found.answer, "public": found.public}
-    found.answer, found.public, found.answered_at = kept, public, read_clock(session)
+    question = _locked(session, question_id)
+    before = {"answer": question.answer, "public": question.public}
+    question.answer, question.public, question.answered_at = kept, public, read_clock(session)
     after = {"answer": kept, "public": public}
-    record(session, by, "question.answer", f"question:{found.id}", after, before=before)
-    return found
+    record(session, by, "question.answer", f"question:{question.id}", after, before=before)
+    return question
 
 
 def hide_question(session: Session, by: Principal, question_id: int) -> None:
@@ -191,11 +191,11 @@ def hide_question(session: Session, by: Principal, question_id: int) -> None:
         ServiceError: not an organizer, or there is no such question.
     """
     by.require_organizer()
-    found = _locked(session, question_id)
-    if found.hidden_at is None:
-        found.hidden_at = read_clock(session)
+    question = _locked(session, question_id)
+    if question.hidden_at is None:
+        question.hidden_at = read_clock(session)
         after, before = {"hidden": True}, {"hidden": False}
-        record(session, by, "question.hide", f"question:{found.id}", after, before=before)
+        record(session, by, "question.hide", f"question:{question.id}", after, before=before)
 
 
 def list_questions(session: Session, by: Principal | None, *, open_only: bool = False) -> list[QuestionView]:
@@ -220,7 +220,7 @@ def make_question_view(question: Question, by: Principal | None) -> QuestionView
 
 
 def _locked(session: Session, question_id: int) -> Question:
-    found = session.get(Question, question_id, with_for_update=True)
-    if found is None:
+    question = session.get(Question, question_id, with_for_update=True)
+    if question is None:
         raise not_found("question", question_id)
-    return found
+    return question

@@ -42,12 +42,12 @@ def announce(session: Session, kind: NoticeKind, team_id: UUID, subject: str, fa
         subject: of which thing, `noun:id`: a second notice of the same kind and thing is not written.
         facts: what a webhook gets, as JSON.
     """
-    found = session.scalars(
+    members = session.scalars(
         select(Member).where(
             Member.team_id == team_id, Member.left_at.is_(None), Member.email_confirmed_at.is_not(None)
         )
     )
-    targets = [(NoticeChannel.MAIL, one.email) for one in found if one.email and kind.value not in one.muted]
+    targets = [(NoticeChannel.MAIL, one.email) for one in members if one.email and kind.value not in one.muted]
     if targets:
         left = MAX_MAILS_A_DAY - _count_mails(session, timedelta(days=1), Notice.team_id == team_id)
         targets = targets[: max(0, left)]
@@ -144,18 +144,18 @@ def retry(session: Session, by: Principal, notice_id: UUID) -> Notice:
         ServiceError: not an organizer, there is no such notice, or it was not given up.
     """
     by.require_organizer()
-    found = session.get(Notice, notice_id, with_for_update=True)
-    if found is None:
+    notice = session.get(Notice, notice_id, with_for_update=True)
+    if notice is None:
         raise not_found("notice", notice_id)
-    if found.given_up_at is None:
+    if notice.given_up_at is None:
         raise ServiceError(
             ProblemCode.INVALID_REQUEST,
-            f"Notice {notice_id} was {'sent' if found.sent_at else 'not given up yet'}; there is nothing to repeat.",
+            f"Notice {notice_id} was {'sent' if notice.sent_at else 'not given up yet'}; there is nothing to repeat.",
         )
-    before = {"given_up": True, "problem": found.problem}
-    found.given_up_at, found.attempts, found.due_at = None, 0, read_clock(session)
-    record(session, by, "notice.retry", f"notice:{found.id}", {"given_up": False}, before=before)
-    return found
+    before = {"given_up": True, "problem": notice.problem}
+    notice.given_up_at, notice.attempts, notice.due_at = None, 0, read_clock(session)
+    record(session, by, "notice.retry", f"notice:{notice.id}", {"given_up": False}, before=before)
+    return notice
 
 
 NEAR = timedelta(hours=24)

@@ -240,16 +240,16 @@ def claim(
     with database.transaction() as session:
         now = read_clock(session)
         # A notice whose last try was not noted, because its sender was killed, is given up here.
-        while (found := _first_due(session, now, channels, apart_from)) and found.attempts >= MAX_ATTEMPTS:
-            _give_up(found, now, found.problem or "The server stopped while it was sending this.")
-        if found is None:
+        while (notice := _first_due(session, now, channels, apart_from)) and notice.attempts >= MAX_ATTEMPTS:
+            _give_up(notice, now, notice.problem or "The server stopped while it was sending this.")
+        if notice is None:
             return None
-        found.attempts += 1
-        found.due_at = now + CLAIMED
-        hook = session.get(Webhook, found.target) if found.channel is NoticeChannel.WEBHOOK else None
+        notice.attempts += 1
+        notice.due_at = now + CLAIMED
+        hook = session.get(Webhook, notice.target) if notice.channel is NoticeChannel.WEBHOOK else None
         session.flush()
         return Claimed(
-            notice=found,
+            notice=notice,
             address=hook.address if hook is not None else "",
             secret=hook.secret if hook is not None else "",
         )
@@ -290,13 +290,13 @@ def _give_up(notice: Notice, now: datetime, problem: str) -> None:
 def _note(database: Database, sent: Notice, problem: str | None) -> None:
     with database.transaction() as session:
         now = read_clock(session)
-        found = session.get(Notice, sent.id, with_for_update=True)
-        if found is None or found.attempts != sent.attempts:
+        notice = session.get(Notice, sent.id, with_for_update=True)
+        if notice is None or notice.attempts != sent.attempts:
             return  # removed, or sent by somebody else after our claim had ended
-        found.problem = problem
+        notice.problem = problem
         if problem is None:
-            found.sent_at = now
-        elif found.attempts >= MAX_ATTEMPTS:
-            _give_up(found, now, problem)
+            notice.sent_at = now
+        elif notice.attempts >= MAX_ATTEMPTS:
+            _give_up(notice, now, problem)
         else:
-            found.due_at = now + FIRST_PAUSE * 3 ** (found.attempts - 1)
+            notice.due_at = now + FIRST_PAUSE * 3 ** (notice.attempts - 1)

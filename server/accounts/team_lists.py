@@ -54,9 +54,9 @@ class TeamSearch:
     def conditions(self) -> Iterator[ColumnElement[bool]]:
         """Yield the conditions of a query."""
         if self.text:
-            found = self.text.strip().lower()
+            wanted = self.text.strip().lower()
             columns = (Team.name, Team.contact, Team.note)
-            yield or_(*(func.lower(column).contains(found, autoescape=True) for column in columns))
+            yield or_(*(func.lower(column).contains(wanted, autoescape=True) for column in columns))
         if self.state is not None:
             yield _STATES[self.state]
         if self.competition is not None:
@@ -81,7 +81,7 @@ def list_teams(session: Session, by: Principal, search: TeamSearch) -> list[List
     """
     by.require_organizer()
     order = (Team.created_at, Team.id) if search.state is TeamState.WAITING else (Team.name_key,)
-    found = session.scalars(select(Team).where(*search.conditions()).order_by(*order)).all()
+    listed = session.scalars(select(Team).where(*search.conditions()).order_by(*order)).all()
     submissions = _count_by_team(session, select(Submission.team_id, func.count()).group_by(Submission.team_id))
     present = select(Member.team_id, func.count()).where(Member.left_at.is_(None)).group_by(Member.team_id)
     people = _count_by_team(session, present)
@@ -93,7 +93,7 @@ def list_teams(session: Session, by: Principal, search: TeamSearch) -> list[List
             members=people.get(team.id, 0),
             submissions=submissions.get(team.id, 0),
         )
-        for team in found
+        for team in listed
     ]
 
 
@@ -212,13 +212,13 @@ def change_teams(
         ServiceError: not an organizer, there is no such team, or it is refused for one of them, which is named.
     """
     by.require_organizer()
-    found = sorted({teams.find(session, name) for name in chosen}, key=lambda team: team.id)
-    for team in found:
+    changed = sorted({teams.find(session, name) for name in chosen}, key=lambda team: team.id)
+    for team in changed:
         try:
             _change(session, by, team, action, reason=reason, title=title, text=text)
         except ServiceError as error:
             raise ServiceError(error.code, f"No team was changed. {team.name}: {error.detail}") from error
-    return sorted(found, key=lambda team: team.name_key)
+    return sorted(changed, key=lambda team: team.name_key)
 
 
 def _change(

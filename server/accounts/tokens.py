@@ -98,13 +98,13 @@ def _refuse_second_judge(session: Session, label: str) -> None:
         ApiToken.revoked_at.is_(None),
         or_(ApiToken.expires_at.is_(None), ApiToken.expires_at > read_clock(session)),
     )
-    found = session.scalar(
+    other = session.scalar(
         select(ApiToken.id).where(ApiToken.role == Role.JUDGE, ApiToken.label == label, *is_good).limit(1)
     )
-    if found is not None:
+    if other is not None:
         raise ServiceError(
             ProblemCode.NAME_TAKEN,
-            f"There is a judge named {label!r} with the token {found}. Give another judge another name, or end that "
+            f"There is a judge named {label!r} with the token {other}. Give another judge another name, or end that "
             "token first.",
         )
 
@@ -205,8 +205,8 @@ def revoke(session: Session, by: Principal, token_id: UUID) -> ApiToken:
     Raises:
         ServiceError: there is no such token that the principal may end.
     """
-    found = select(ApiToken).where(ApiToken.id == token_id).with_for_update()
-    token = session.scalar(found if by.organizes_service else found.where(_own(by), ApiToken.role == Role.TEAM))
+    query = select(ApiToken).where(ApiToken.id == token_id).with_for_update()
+    token = session.scalar(query if by.organizes_service else query.where(_own(by), ApiToken.role == Role.TEAM))
     if token is None:
         raise not_found("token", token_id)
     if token.revoked_at is None:

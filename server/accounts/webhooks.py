@@ -119,19 +119,19 @@ def resolve_address(host: str, port: int, *, inside_allowed: bool) -> SocketAddr
     Raises:
         OSError: the host is not known, or one of its addresses is inside.
     """
-    found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-    for *_, where in found:
+    addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    for *_, where in addresses:
         if not inside_allowed and not is_public(str(where[0])):
             raise PermissionError(f"{host} leads to {where[0]}, which is not an address of the public internet")
-    family, _, _, _, where = found[0]
+    family, _, _, _, where = addresses[0]
     return family, tuple(where)
 
 
 def is_public(address: str) -> bool:
     """Return whether an address is one of the internet, and stands for no other one."""
-    found = ip_address(address.partition("%")[0])
-    is_given_out = isinstance(found, IPv4Address) or found in _INTERNET_6
-    return is_given_out and not any(found in network for network in _NOT_PUBLIC if network.version == found.version)
+    ip = ip_address(address.partition("%")[0])
+    is_given_out = isinstance(ip, IPv4Address) or ip in _INTERNET_6
+    return is_given_out and not any(ip in network for network in _NOT_PUBLIC if network.version == ip.version)
 
 
 def _may_be_public(host: str) -> bool:
@@ -182,12 +182,12 @@ def remove(session: Session, by: Principal, team: Team, webhook_id: UUID) -> Non
         ServiceError: not the captain, or the team has no such webhook.
     """
     by.require_leader(team.id)
-    found = session.get(Webhook, webhook_id)
-    if found is None or found.team_id != team.id:
+    webhook = session.get(Webhook, webhook_id)
+    if webhook is None or webhook.team_id != team.id:
         raise not_found("webhook", webhook_id)
-    before = {"webhook": str(found.id), "address": found.address}
-    session.execute(delete(Notice).where(Notice.target == str(found.id), Notice.sent_at.is_(None)))
-    session.delete(found)
+    before = {"webhook": str(webhook.id), "address": webhook.address}
+    session.execute(delete(Notice).where(Notice.target == str(webhook.id), Notice.sent_at.is_(None)))
+    session.delete(webhook)
     record(session, by, "webhook.remove", f"team:{team.id}", {"webhook": None}, before=before)
 
 
@@ -198,8 +198,10 @@ def list_webhooks(session: Session, by: Principal, team: Team) -> list[WebhookVi
         ServiceError: not the captain.
     """
     by.require_leader(team.id)
-    found = session.scalars(select(Webhook).where(Webhook.team_id == team.id).order_by(Webhook.created_at, Webhook.id))
-    return [WebhookView.model_validate(one, from_attributes=True) for one in found]
+    webhooks = session.scalars(
+        select(Webhook).where(Webhook.team_id == team.id).order_by(Webhook.created_at, Webhook.id)
+    )
+    return [WebhookView.model_validate(one, from_attributes=True) for one in webhooks]
 
 
 def make_body(notice: Notice) -> bytes:

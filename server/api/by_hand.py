@@ -94,8 +94,8 @@ async def receive_brief(
 
     def store() -> BriefView:
         with services.database.transaction() as session:
-            found = Competition.find(session, competition).stage(track, stage)
-            return briefs.brief_view(briefs.hand_in(session, by, found, bytes(content)))
+            of_stage = Competition.find(session, competition).stage(track, stage)
+            return briefs.brief_view(briefs.hand_in(session, by, of_stage, bytes(content)))
 
     return await asyncio.to_thread(store)
 
@@ -104,8 +104,8 @@ async def receive_brief(
 def list_briefs(services: ServicesOf, principal: SignedInOf, competition: str, track: str, stage: str) -> BriefListView:
     """Return the own team's brief, all for organizers and judges."""
     with services.database.reading() as session:
-        found = briefs.list_briefs(session, principal, Competition.find(session, competition).stage(track, stage))
-        return BriefListView(items=[briefs.brief_view(brief) for brief in found])
+        listed = briefs.list_briefs(session, principal, Competition.find(session, competition).stage(track, stage))
+        return BriefListView(items=[briefs.brief_view(brief) for brief in listed])
 
 
 @router.get(f"{STAGE}/briefs/{{team_id}}/document", tags=["briefs"], response_class=Response)
@@ -131,9 +131,9 @@ def put_decision(
 ) -> BriefView:
     """Decide whether a brief's team advances, once the stage has closed (judges and organizers)."""
     with services.database.transaction() as session:
-        found = Competition.find(session, competition).stage(track, stage)
+        of_stage = Competition.find(session, competition).stage(track, stage)
         return briefs.brief_view(
-            briefs.decide(session, principal, found, team_id, decision.reason, accepted=decision.accepted)
+            briefs.decide(session, principal, of_stage, team_id, decision.reason, accepted=decision.accepted)
         )
 
 
@@ -148,9 +148,9 @@ def put_result(
 ) -> EnteredBoardView:
     """Enter the points of an attempt, in place of what was entered of it before; return the board."""
     with services.database.transaction() as session:
-        found = Competition.find(session, competition).stage(track, stage)
-        entered_results.enter(session, principal, found, **new.model_dump())
-        return entered_results.board(session, found, principal)
+        of_stage = Competition.find(session, competition).stage(track, stage)
+        entered_results.enter(session, principal, of_stage, **new.model_dump())
+        return entered_results.board(session, of_stage, principal)
 
 
 @router.get(f"{STAGE}/results", tags=["results"])
@@ -159,8 +159,8 @@ def get_results(
 ) -> EnteredBoardView:
     """Return the board of a stage whose results are entered: the best attempt of each team, the largest sum first."""
     with services.database.reading() as session:
-        found = Competition.find(session, competition).stage(track, stage)
-        return entered_results.board(session, found, principal)
+        of_stage = Competition.find(session, competition).stage(track, stage)
+        return entered_results.board(session, of_stage, principal)
 
 
 @router.put(HUMAN_BASELINE, tags=["baselines"])

@@ -179,11 +179,11 @@ def confirm_advancement(
 ) -> AdvancementView:
     """Let the proposed teams, more of them or fewer, take part in a stage."""
     with services.database.transaction() as session:
-        found = Competition.find(session, competition, track=track).stage(track, stage)
+        of_stage = Competition.find(session, competition, track=track).stage(track, stage)
         is_looked_at = services.database.is_trial or decision.shown is not None
         base = decision.revision if is_looked_at else decision.revision or ""
-        advancement.confirm(session, principal, found, add=decision.add, without=decision.without, base=base)
-        view = advancement.propose(session, principal, found)
+        advancement.confirm(session, principal, of_stage, add=decision.add, without=decision.without, base=base)
+        view = advancement.propose(session, principal, of_stage)
         require_shown("the teams", decision.shown, view.revision)
         return view
 
@@ -210,12 +210,12 @@ def finalize(
     with services.database.transaction() as session:
         if end.again:
             concerns = []
-            found = finishing.finalize_again(session, principal, competition)
+            winners_now = finishing.finalize_again(session, principal, competition)
         else:
             concerns = finishing.concerns_at_end(session, competition)
             confirmed = None if services.database.is_trial else end.confirm
-            found = finishing.finalize(session, principal, competition, confirmed=confirmed)
-        winners = _winners(session, found, concerns, competition)
+            winners_now = finishing.finalize(session, principal, competition, confirmed=confirmed)
+        winners = _winners(session, winners_now, concerns, competition)
         require_shown("the winners", end.shown, winners.revision)
         return winners
 
@@ -251,8 +251,8 @@ def get_definition(
 ) -> Definition:
     """Return what a competition's file says, and its revision."""
     with services.database.transaction() as session:
-        found = Competition.find(session, competition)
-        return Definition(definition=found.definition, revision=found.revision)
+        row = Competition.find(session, competition)
+        return Definition(definition=row.definition, revision=row.revision)
 
 
 @router.put("/competitions/{competition}/definition")
@@ -315,8 +315,8 @@ def get_stage_submissions(
 ) -> StreamingResponse:
     """Return all submissions of a stage in a zip, by team."""
     with services.database.reading() as session:
-        found = Competition.find(session, competition, track=track).stage(track, stage)
-        files = stage_files.list_files(session, principal, found)
+        of_stage = Competition.find(session, competition, track=track).stage(track, stage)
+        files = stage_files.list_files(session, principal, of_stage)
     return StreamingResponse(
         stage_files.stream_zip(services.blobs, files),
         media_type="application/zip",
@@ -332,15 +332,15 @@ def reveal_list(
     with services.database.transaction() as session:
         over = Competition.find(session, competition, track=track).stage(track, stage)
         over.require_over()
-        found = sealing.reveal(session, principal, over)
+        sealed = sealing.reveal(session, principal, over)
         session.flush()
         return SealedListRow(
             track=track,
             stage=stage,
-            commitment=found.commitment,
-            withdrawn_at=found.withdrawn_at,
-            revealed_at=found.revealed_at,
-            secret=None if services.database.is_trial else found.secret,
+            commitment=sealed.commitment,
+            withdrawn_at=sealed.withdrawn_at,
+            revealed_at=sealed.revealed_at,
+            secret=None if services.database.is_trial else sealed.secret,
         )
 
 
@@ -415,12 +415,12 @@ def reopen(
         return competition_view(session, competition)
 
 
-def _winners(session: Session, found: list[finishing.Winner], concerns: list[Concern], competition: str) -> Winners:
+def _winners(session: Session, winners: list[finishing.Winner], concerns: list[Concern], competition: str) -> Winners:
     out = disqualified_since_the_end(Competition.find(session, competition))
     return Winners(
-        items=found,
-        without_winner=finishing.prizes_without_winner(session, found, competition),
+        items=winners,
+        without_winner=finishing.prizes_without_winner(session, winners, competition),
         disqualified=[team.team for team in out],
         concerns=concerns,
-        revision=compute_revision([vars(winner) for winner in found]),
+        revision=compute_revision([vars(winner) for winner in winners]),
     )

@@ -113,8 +113,8 @@ def put_answer(
 ) -> QuestionView:
     """Answer a question, or replace its answer; for organizers."""
     with services.database.transaction() as session:
-        found = messages.answer_question(session, principal, question_id, answer.text, public=answer.public)
-        return messages.make_question_view(found, principal)
+        question = messages.answer_question(session, principal, question_id, answer.text, public=answer.public)
+        return messages.make_question_view(question, principal)
 
 
 @router.delete("/questions/{question_id}", status_code=HTTPStatus.NO_CONTENT, response_class=Response)

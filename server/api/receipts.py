@@ -113,10 +113,10 @@ def add_signatures(
 
 
 def _parse(path: str, name: str) -> tuple[int, int]:
-    found = parse_tile_name(name)
-    if found is None:
+    parsed = parse_tile_name(name)
+    if parsed is None:
         raise not_found("tile", path)
-    return found
+    return parsed
 
 
 def _file(path: str, content: bytes, is_whole: bool) -> Response:

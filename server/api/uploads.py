@@ -267,19 +267,19 @@ def read_metadata(request: Request) -> dict[str, str]:
     Raises:
         ServiceError: it has another form.
     """
-    found: dict[str, str] = {}
+    metadata: dict[str, str] = {}
     for pair in filter(None, (part.strip() for part in request.headers.get("upload-metadata", "").split(","))):
         name, _, value = pair.partition(" ")
         try:
             text = base64.b64decode(value.strip(), validate=True).decode()
         except (binascii.Error, UnicodeDecodeError):
             text = "\0"
-        if "\0" in text or name in found:
+        if "\0" in text or name in metadata:
             raise ServiceError(
                 ProblemCode.INVALID_REQUEST, f"Expected Upload-Metadata as `name base64,...`, got {pair!r:.80}."
             )
-        found[name] = text
-    return found
+        metadata[name] = text
+    return metadata
 
 
 def read_checksum(request: Request) -> Checksum | None:

@@ -103,10 +103,10 @@ def _touched_in_stage(
     rules = track.find_board(stage.name) if track else None
     place = f"tracks.{stage.track}.stages.{stage.name}"
     is_played = track is not None and track.taken_here and rules is not None and rules.list is stage.rules.list
-    if not is_played and (found := stage.sealed_list) is not None:
+    if not is_played and (sealed := stage.sealed_list) is not None:
         yield (
             f"{place}.list",
-            f"The commitment {found.commitment} was published at {found.made_at:%F %T} UTC; it is withdrawn, and "
+            f"The commitment {sealed.commitment} was published at {sealed.made_at:%F %T} UTC; it is withdrawn, and "
             "everybody sees that. The stage has the same list if it is sealed again.",
         )
     if rules is not None:

@@ -95,9 +95,9 @@ def apply(
     by.require_organizer(definition.name)
     competition = Competition.lock(session, definition.name)
     before = competition.row.definition if competition.is_held else None
-    found = list_changes(session, definition)
+    changes = list_changes(session, definition)
     after = definition.model_dump(mode="json")
-    if found:
+    if changes:
         require_base(
             "the competition",
             base=base,
@@ -123,7 +123,7 @@ def apply(
         change = seal if stage.plays_sealed_list else withdraw
         change(session, by, stage)
     withdraw_unplayed(session, by, Competition.read(session, definition.name))
-    return found
+    return changes
 
 
 def _sort_again(competition: Competition, before: CompetitionDefinition) -> None:
@@ -147,13 +147,13 @@ def list_warnings(
         changes: what it changes (`list_changes`); None: nobody knows, so all of it counts.
         at: the moment.
     """
-    found = [
+    warnings = [
         _HIDING if change.after else _SHOWING
         for change in changes or ()
         if change.place == "anonymous" and change.before is not None
     ]
     if definition.teams_locked is not None and definition.teams_locked <= at:
-        found.append(
+        warnings.append(
             f"teams_locked is {definition.teams_locked:%F %T} UTC, which is past: from now on only organizers register "
             "teams."
         )
@@ -164,7 +164,7 @@ def list_warnings(
             is_new = changed is None or f"tracks.{name}.stages.{stage.name}.closes" in changed
             if is_new and stage.closes <= at:
                 over.setdefault((stage.name, stage.closes), []).append(name)
-    return found + [
+    return warnings + [
         f"Stage {stage} of {', '.join(tracks)} closed at {closes:%F %T} UTC, which is past: it takes no submissions."
         for (stage, closes), tracks in over.items()
     ]

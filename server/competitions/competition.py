@@ -64,8 +64,8 @@ class Competition:
             return cls._read_all(session)
         if cls not in session.info:
             session.info[cls] = cls._read_all(session)
-        found: Sequence[Self] = session.info[cls]
-        return found
+        competitions: Sequence[Self] = session.info[cls]
+        return competitions
 
     @classmethod
     def _read_all(cls, session: Session) -> Sequence[Self]:
@@ -92,14 +92,14 @@ class Competition:
         if name is None and len(looked_at) == 1:
             return looked_at[0]
         names = ", ".join(sorted(one.name for one in looked_at if one.is_held)) or "none"
-        found = next((one for one in competitions if one.is_held and one.name == name), None)
+        named = next((one for one in competitions if one.is_held and one.name == name), None)
         if name is None:
             raise ServiceError(
                 ProblemCode.INVALID_REQUEST, f"This service has several competitions; name one of {names}."
             )
-        if found is None:
+        if named is None:
             raise ServiceError(ProblemCode.NOT_FOUND, f"There is no competition {name!r:.80}, expected one of {names}.")
-        return found
+        return named
 
     @classmethod
     def find_organized(cls, session: Session, by: Principal, name: str) -> Self:
@@ -108,9 +108,9 @@ class Competition:
         Raises:
             ServiceError: there is none of that name, or it is somebody else's.
         """
-        found = cls.find(session, name)
-        by.require_organizer(found.name)
-        return found
+        competition = cls.find(session, name)
+        by.require_organizer(competition.name)
+        return competition
 
     @classmethod
     def read_by_track(cls, session: Session, track: str) -> Sequence[Self]:
@@ -146,8 +146,8 @@ class Competition:
             shared: whether others may lock it so at the same time.
         """
         lock = {"read": True} if shared else True
-        found = session.get(CompetitionRow, name, with_for_update=lock, populate_existing=True) if name else None
-        return cls._from_row(session, found)
+        row = session.get(CompetitionRow, name, with_for_update=lock, populate_existing=True) if name else None
+        return cls._from_row(session, row)
 
     @classmethod
     def lock_held(cls, session: Session, by: Principal, name: str | None) -> Self:
@@ -235,14 +235,14 @@ class Competition:
     @cached_property
     def stages(self) -> tuple[Stage, ...]:
         """All stages in the order of the file, each followed by its final list; also of tracks not held here."""
-        found = []
+        stages = []
         for track, rules in self.definition.tracks.items():
             last: Stage | None = None
             for board, of in rules.list_boards():
                 before, live = (last, None) if of is None else (None, last)
                 last = self._make_stage(track, board.name, board, rules, before, live)
-                found.append(last)
-        return tuple(found)
+                stages.append(last)
+        return tuple(stages)
 
     @property
     def stages_held_here(self) -> tuple[Stage, ...]:
@@ -270,8 +270,8 @@ class Competition:
 
     def list_stages(self, track: str) -> tuple[Stage, ...]:
         """Return the stages of a track that are held here; outside of a competition that is one for practice."""
-        found = tuple(stage for stage in self.stages_held_here if stage.track == track)
-        return found or (self.stored_stage(track, PRACTICE),)
+        of_track = tuple(stage for stage in self.stages_held_here if stage.track == track)
+        return of_track or (self.stored_stage(track, PRACTICE),)
 
     def stage(self, track: str, name: str) -> Stage:
         """Return a stage of the competition.
@@ -279,17 +279,17 @@ class Competition:
         Raises:
             ServiceError: there is none of that name.
         """
-        found = next((stage for stage in self.stages if (stage.track, stage.name) == (track, name)), None)
-        if found is None:
+        named = next((stage for stage in self.stages if (stage.track, stage.name) == (track, name)), None)
+        if named is None:
             raise ServiceError(
                 ProblemCode.UNKNOWN_STAGE, f"The competition has no stage {name!r:.80} of {track!r:.80}."
             )
-        return found
+        return named
 
     def stored_stage(self, track: str, name: str) -> Stage:
         """Return the stage that a row names; without rules for practice, or where the file no longer has it."""
-        found = next((stage for stage in self.stages if (stage.track, stage.name) == (track, name)), None)
-        return found or self._make_stage(track, name, PRACTICE_RULES, PRACTICE_TRACK)
+        named = next((stage for stage in self.stages if (stage.track, stage.name) == (track, name)), None)
+        return named or self._make_stage(track, name, PRACTICE_RULES, PRACTICE_TRACK)
 
     def shown_stage(self, track: str, wanted: str | None = None, *, at: datetime | None = None) -> Stage:
         """Return the stage whose board a track shows: the wanted one, else the one that opened last, else the first.
@@ -322,14 +322,14 @@ class Competition:
             ServiceError: none does, or its episodes are published.
         """
         stages = self.list_stages(track)
-        found = next((stage for stage in stages if stage.is_in_time(at)), None)
-        if found is None and by.organizes_service:
-            found = _last_opened(tuple(stage for stage in stages if stage.live is None), at)
-        if found is None:
+        opened = next((stage for stage in stages if stage.is_in_time(at)), None)
+        if opened is None and by.organizes_service:
+            opened = _last_opened(tuple(stage for stage in stages if stage.live is None), at)
+        if opened is None:
             raise ServiceError(ProblemCode.STAGE_CLOSED, f"{track} takes no submissions now: {_times(stages, at)}.")
-        if found.is_revealed:
-            raise ServiceError(ProblemCode.STAGE_CLOSED, f"The episodes of {found} are published, so it is over.")
-        return found
+        if opened.is_revealed:
+            raise ServiceError(ProblemCode.STAGE_CLOSED, f"The episodes of {opened} are published, so it is over.")
+        return opened
 
     def track_title(self, track: str) -> str:
         """Return what people call a track: in the competition, else by its file; its name where that is gone."""
@@ -434,7 +434,7 @@ def list_competition_choices(session: Session, at: datetime) -> Sequence[Competi
         track: {one.name for one in competitions if one.holds(track) and one.takes_submissions(track, at)}
         for track in {stage.track for one in competitions for stage in one.stages_held_here}
     }
-    names = {name for found in taking.values() if len(found) > 1 for name in found}
+    names = {name for chosen in taking.values() if len(chosen) > 1 for name in chosen}
     return [one for one in competitions if one.name in names]
 
 

@@ -128,8 +128,8 @@ def _sample(task: Task) -> list[Episode]:
         chosen[first.number] = first
     for index in range(len(task.episodes[0].offset)):
         for extreme in (min, max):
-            found = extreme(task.episodes, key=lambda episode: episode.offset[index])
-            chosen[found.number] = found
+            episode_at_end = extreme(task.episodes, key=lambda episode: episode.offset[index])
+            chosen[episode_at_end.number] = episode_at_end
     return [chosen[number] for number in sorted(chosen)]
 
 

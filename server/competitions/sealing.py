@@ -40,21 +40,21 @@ def seal(session: Session, by: Principal, stage: Stage, secret: bytes | None = N
         ServiceError: not an organizer, or another secret was committed to.
     """
     by.require_organizer(stage.competition)
-    found = session.scalar(select(SealedList).where(*stage.make_rows(SealedList)))
-    if found is None:
+    sealed = session.scalar(select(SealedList).where(*stage.make_rows(SealedList)))
+    if sealed is None:
         return _make_list(session, by, stage, secret or secrets.token_bytes(SECRET_BYTES))
-    if secret is not None and make_commitment(secret) != found.commitment:
+    if secret is not None and make_commitment(secret) != sealed.commitment:
         raise ServiceError(
             ProblemCode.LIST_SEALED,
-            f"Stage {stage.name} of {stage.track} is committed to {found.commitment}, expected the secret behind it; "
+            f"Stage {stage.name} of {stage.track} is committed to {sealed.commitment}, expected the secret behind it; "
             "a published commitment does not change.",
         )
-    if found.withdrawn_at is not None:
-        before = {"withdrawn_at": found.withdrawn_at.isoformat()}
-        found.withdrawn_at = None
-        record(session, by, "list.seal", stage.subject, {"commitment": found.commitment}, before=before)
-        _log_change(session, found, "sealed")
-    return found
+    if sealed.withdrawn_at is not None:
+        before = {"withdrawn_at": sealed.withdrawn_at.isoformat()}
+        sealed.withdrawn_at = None
+        record(session, by, "list.seal", stage.subject, {"commitment": sealed.commitment}, before=before)
+        _log_change(session, sealed, "sealed")
+    return sealed
 
 
 def withdraw(session: Session, by: Principal, stage: Stage) -> None:
@@ -78,9 +78,9 @@ def withdraw_unplayed(session: Session, by: Principal, competition: Competition)
     """
     by.require_organizer(competition.name)
     known = {(stage.track, stage.name) for stage in competition.stages}
-    for found in sealed_lists(session, competition):
-        if (found.track, found.stage) not in known and found.withdrawn_at is None:
-            _withdraw(session, by, competition.stored_stage(found.track, found.stage), found)
+    for sealed in sealed_lists(session, competition):
+        if (sealed.track, sealed.stage) not in known and sealed.withdrawn_at is None:
+            _withdraw(session, by, competition.stored_stage(sealed.track, sealed.stage), sealed)
 
 
 def refuse_reopening(competition: Competition, definition: CompetitionDefinition, at: datetime) -> None:
@@ -89,16 +89,16 @@ def refuse_reopening(competition: Competition, definition: CompetitionDefinition
     Raises:
         ServiceError: stage_in_use.
     """
-    for found in sealed_lists(competition.session, competition):
-        track = definition.tracks.get(found.track)
-        rules = track.find_board(found.stage) if track else None
-        over_since = found.revealed_at or found.played_at
+    for sealed in sealed_lists(competition.session, competition):
+        track = definition.tracks.get(sealed.track)
+        rules = track.find_board(sealed.stage) if track else None
+        over_since = sealed.revealed_at or sealed.played_at
         if over_since is not None and rules is not None and rules.closes > at:
-            what = "secret" if found.revealed_at else "list"
-            how = "published" if found.revealed_at else "played"
+            what = "secret" if sealed.revealed_at else "list"
+            how = "published" if sealed.revealed_at else "played"
             raise ServiceError(
                 ProblemCode.STAGE_IN_USE,
-                f"The {what} of stage {found.stage} of {found.track} was {how} at {over_since:%F %T} UTC, "
+                f"The {what} of stage {sealed.stage} of {sealed.track} was {how} at {over_since:%F %T} UTC, "
                 f"so it never opens again: expected closes before now, got {rules.closes:%F %T} UTC. Add another "
                 "stage with a list of its own.",
             )
@@ -119,17 +119,17 @@ def _make_list(session: Session, by: Principal, stage: Stage, secret: bytes) -> 
     return made
 
 
-def _withdraw(session: Session, by: Principal, stage: Stage, found: SealedList) -> None:
-    if session.scalar(select(exists().where(Evaluation.commitment == found.commitment))):
+def _withdraw(session: Session, by: Principal, stage: Stage, sealed: SealedList) -> None:
+    if session.scalar(select(exists().where(Evaluation.commitment == sealed.commitment))):
         raise ServiceError(
             ProblemCode.STAGE_IN_USE,
             f"Stage {stage.name} of {stage.track} has evaluations on its sealed list. Keep it sealed.",
         )
-    found.withdrawn_at = read_clock(session)
+    sealed.withdrawn_at = read_clock(session)
     session.flush()
-    before = {"commitment": found.commitment}
+    before = {"commitment": sealed.commitment}
     record(session, by, "list.withdraw", stage.subject, {"commitment": None}, before=before)
-    _log_change(session, found, "withdrawn")
+    _log_change(session, sealed, "withdrawn")
 
 
 def reveal(session: Session, by: Principal, stage: Stage) -> SealedList:
@@ -140,13 +140,13 @@ def reveal(session: Session, by: Principal, stage: Stage) -> SealedList:
     """
     by.require_organizer(stage.competition)
     of_stage = *stage.make_rows(SealedList), SealedList.withdrawn_at.is_(None)
-    found = session.scalar(select(SealedList).where(*of_stage).with_for_update())
-    if found is None:
+    sealed = session.scalar(select(SealedList).where(*of_stage).with_for_update())
+    if sealed is None:
         raise not_found("sealed list of", f"{stage.track}/{stage.name}")
     active = select(func.count()).where(
-        Evaluation.commitment == found.commitment, Evaluation.state.in_(ACTIVE_EVALUATION_STATES)
+        Evaluation.commitment == sealed.commitment, Evaluation.state.in_(ACTIVE_EVALUATION_STATES)
     )
-    if stage.live is not None and found.played_at is None:
+    if stage.live is not None and sealed.played_at is None:
         raise ServiceError(
             ProblemCode.LIST_SEALED, f"Expected {stage} to be played before its secret is published; wait until then."
         )
@@ -155,11 +155,11 @@ def reveal(session: Session, by: Principal, stage: Stage) -> SealedList:
             ProblemCode.LIST_SEALED,
             f"Expected no evaluation of {stage} that waits or runs, got {waiting}; wait or cancel.",
         )
-    if found.revealed_at is None:
-        found.revealed_at = read_clock(session)
-        record(session, by, "list.reveal", stage.subject, {"commitment": found.commitment})
-        _log_change(session, found, "published")
-    return found
+    if sealed.revealed_at is None:
+        sealed.revealed_at = read_clock(session)
+        record(session, by, "list.reveal", stage.subject, {"commitment": sealed.commitment})
+        _log_change(session, sealed, "published")
+    return sealed
 
 
 def _log_change(session: Session, of: SealedList, change: Literal["sealed", "withdrawn", "published"]) -> None:

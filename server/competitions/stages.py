@@ -187,8 +187,8 @@ class Stage:
     @property
     def is_revealed(self) -> bool:
         """Whether everybody may know its list, which was sealed before."""
-        found = self.sealed_list
-        return found is not None and found.revealed_at is not None
+        sealed = self.sealed_list
+        return sealed is not None and sealed.revealed_at is not None
 
     @property
     def plays_sealed_list(self) -> bool:
@@ -198,8 +198,8 @@ class Stage:
     @property
     def commitment(self) -> str | None:
         """Commitment of the list that new evaluations play; None for the public list."""
-        found = self.sealed_list
-        return found.commitment if found else None
+        sealed = self.sealed_list
+        return sealed.commitment if sealed else None
 
     def is_open(self, at: datetime) -> bool:
         """Return whether it takes submissions: in its time, and while its episodes are not published."""

@@ -65,12 +65,12 @@ def competition_view(session: Session, name: str | None = None, *, at: datetime 
     competition, now = Competition.find(session, name) if name else Competition.read(session), at or read_clock(session)
     if not competition.is_held:
         raise ServiceError(ProblemCode.NOT_FOUND, "This service runs no competition; all its tracks are for practice.")
-    found, row, lists = competition.definition, competition.row, _lists(competition)
+    definition, row, lists = competition.definition, competition.row, _lists(competition)
     return CompetitionView.from_row(
-        found,
-        rules=list(found.rules),
-        tracks=[_track(name, competition, lists, now) for name in found.tracks],
-        public_rankings=list(found.public_rankings.values()),
+        definition,
+        rules=list(definition.rules),
+        tracks=[_track(name, competition, lists, now) for name in definition.tracks],
+        public_rankings=list(definition.public_rankings.values()),
         frozen_at=competition.frozen_at,
         finalized_at=row.finalized_at,
         reopened=[ReopeningView.model_validate(each) for each in row.reopened],
@@ -97,8 +97,8 @@ def disqualified_since_the_end(competition: Competition) -> list[DisqualifiedTea
     since_when = func.coalesce(Team.disqualified_at, Submission.disqualified_at)
     of_submissions = select(Submission.id, since_when).join(Submission.team).where(since_when.is_not(None))
     of_teams = select(Team.id, Team.disqualified_at).where(Team.disqualified_at.is_not(None))
-    found = [*competition.session.execute(of_submissions), *competition.session.execute(of_teams)]
-    since = {kept[str(identity)]: at for identity, at in found if at and str(identity) in kept}
+    rows = [*competition.session.execute(of_submissions), *competition.session.execute(of_teams)]
+    since = {kept[str(identity)]: at for identity, at in rows if at and str(identity) in kept}
     return [DisqualifiedTeamView(team=team, disqualified_at=at) for team, at in sorted(since.items())]
 
 

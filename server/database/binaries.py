@@ -55,10 +55,10 @@ def find_binaries(
         PostgresNotFound: there is none, or none of that version.
     """
     folders = [configured] if configured is not None else list(_installed_bin_dirs())
-    found = [binaries for folder in folders if (binaries := inspect_bin_dir(folder, programs)) is not None]
-    usable = [binaries for binaries in found if binaries.major >= OLDEST_MAJOR and major in (None, binaries.major)]
+    installed = [binaries for folder in folders if (binaries := inspect_bin_dir(folder, programs)) is not None]
+    usable = [binaries for binaries in installed if binaries.major >= OLDEST_MAJOR and major in (None, binaries.major)]
     if not usable:
-        raise PostgresNotFound(_explain_missing(programs, folders, found, major))
+        raise PostgresNotFound(_explain_missing(programs, folders, installed, major))
     return max(usable, key=lambda binaries: binaries.major)
 
 
@@ -125,10 +125,10 @@ def _installed_bin_dirs() -> Iterator[Path]:
 
 
 def _explain_missing(
-    programs: Sequence[str], folders: list[Path], found: list[PostgresBinaries], major: int | None
+    programs: Sequence[str], folders: list[Path], installed: list[PostgresBinaries], major: int | None
 ) -> str:
     wanted = f"PostgreSQL {major}, which made the data directory" if major else f"PostgreSQL {OLDEST_MAJOR} or newer"
-    versions = ", ".join(f"{binaries.major} in {binaries.bin_dir}" for binaries in found) or "none"
+    versions = ", ".join(f"{binaries.major} in {binaries.bin_dir}" for binaries in installed) or "none"
     looked = ", ".join(map(str, folders)) or "no folder"
     return (
         f"Expected {' and '.join(programs)} of {wanted}; found {versions} (looked in {looked}). "

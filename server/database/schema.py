@@ -169,8 +169,8 @@ def installed_revision(connection: Connection) -> str | None:
     """Return the revision that the database has; None when it is empty."""
     if connection.exec_driver_sql("SELECT to_regclass('alembic_version')").scalar_one() is None:
         return None
-    found: str | None = connection.exec_driver_sql("SELECT version_num FROM alembic_version").scalar_one_or_none()
-    return found
+    revision: str | None = connection.exec_driver_sql("SELECT version_num FROM alembic_version").scalar_one_or_none()
+    return revision
 
 
 def newest_revision() -> str:
@@ -186,8 +186,8 @@ def knows_revision(revision: str) -> bool:
 @cache
 def _revisions() -> frozenset[str]:
     """Return those of all migrations, by the names of their modules: `v0016_first_schema` is 0016."""
-    found = (re.fullmatch(r"v(\d{4})_\w+\.py", path.name) for path in (_migrations() / "versions").iterdir())
-    return frozenset(match[1] for match in found if match is not None)
+    matches = (re.fullmatch(r"v(\d{4})_\w+\.py", path.name) for path in (_migrations() / "versions").iterdir())
+    return frozenset(match[1] for match in matches if match is not None)
 
 
 def _migrations() -> Path:

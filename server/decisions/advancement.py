@@ -198,8 +198,8 @@ def _is_at_border(
 def _chosen(
     session: Session, proposal: AdvancementView, add: Collection[str], without: Collection[str]
 ) -> dict[UUID, str]:
-    found = [teams.find(session, team.team) for team in proposal.teams if team.advances]
-    chosen = {team.id: team.name for team in found}
+    advancing = [teams.find(session, team.team) for team in proposal.teams if team.advances]
+    chosen = {team.id: team.name for team in advancing}
     for team in (teams.find(session, name) for name in without):
         if team.id not in chosen:
             raise ServiceError(ProblemCode.INVALID_REQUEST, f"{team.name} is not proposed, so it cannot be left out.")

@@ -64,8 +64,8 @@ def _find_last(session: Session) -> AuditLogGrown | None:
 
 
 def _read_lines(session: Session, after: int, until: datetime) -> Sequence[AuditEntry]:
-    found = select(AuditEntry).where(AuditEntry.id > after, AuditEntry.at < until).order_by(AuditEntry.id)
-    return session.scalars(found).all()
+    query = select(AuditEntry).where(AuditEntry.id > after, AuditEntry.at < until).order_by(AuditEntry.id)
+    return session.scalars(query).all()
 
 
 def _read_between(session: Session, digest: AuditLogGrown) -> Sequence[AuditEntry]:

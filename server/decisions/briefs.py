@@ -63,8 +63,8 @@ def list_briefs(session: Session, by: Principal, stage: Stage) -> Sequence[Brief
     of_stage = select(Brief).where(
         Brief.competition == stage.competition, Brief.track == stage.track, Brief.stage == stage.name
     )
-    found = session.scalars(of_stage.order_by(Brief.received_at, Brief.team_id))
-    return [brief for brief in found if by.may_see(brief.team_id, stage.competition)]
+    received = session.scalars(of_stage.order_by(Brief.received_at, Brief.team_id))
+    return [brief for brief in received if by.may_see(brief.team_id, stage.competition)]
 
 
 def find(session: Session, by: Principal, stage: Stage, team_id: UUID) -> Brief:

@@ -59,13 +59,13 @@ def read_teams(session: Session, evaluations: Collection[UUID]) -> tuple[Exporte
         .where(Evaluation.id.in_(evaluations))
         .order_by(Team.name, Evaluation.id)
     )
-    found: dict[Team, list[UUID]] = {}
+    by_team: dict[Team, list[UUID]] = {}
     disqualified: set[UUID] = set()
     for team, evaluation, is_off_boards in rows:
-        found.setdefault(team, []).append(evaluation)
+        by_team.setdefault(team, []).append(evaluation)
         if is_off_boards:
             disqualified.add(evaluation)
-    return tuple(_exported(session, team, ids, disqualified.intersection(ids)) for team, ids in found.items())
+    return tuple(_exported(session, team, ids, disqualified.intersection(ids)) for team, ids in by_team.items())
 
 
 def _exported(

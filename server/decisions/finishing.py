@@ -94,14 +94,14 @@ def finalize(
     competition, now = Competition.lock_to_change(session, by, name), at or read_clock(session)
     _require_over(session, competition, now)
     require_witnessed(session, competition)
-    found = _winners_now(session, competition)
+    winning = _winners_now(session, competition)
     require_confirmed(unsettled(competition, now), confirmed)
     end_with_competition(session, by, competition)
     competition.row.finalized_at, competition.row.frozen_at = now, None
-    _store(session, competition, found)
+    _store(session, competition, winning)
     record(session, by, "competition.finalize", competition.subject, {"winners": competition.row.winners})
     _issue_receipt(session, competition)
-    return found
+    return winning
 
 
 def concerns_at_end(session: Session, name: str | None = None) -> list[Concern]:
@@ -144,11 +144,11 @@ def finalize_again(session: Session, by: Principal, name: str | None = None) -> 
     _require_final(competition)
     _require_track_files(competition)
     before = {"winners": competition.row.winners, "boards": competition.row.boards}
-    found = _winners_now(session, competition)
-    _store(session, competition, found)
+    winning = _winners_now(session, competition)
+    _store(session, competition, winning)
     record(session, by, FINALIZE_AGAIN, competition.subject, {"winners": competition.row.winners}, before=before)
     _issue_receipt(session, competition)
-    return found
+    return winning
 
 
 def find_last_decision(session: Session, competition: Competition) -> datetime | None:
@@ -171,10 +171,10 @@ def winners(session: Session, name: str | None = None) -> list[Winner]:
     return _winners_now(session, competition)
 
 
-def prizes_without_winner(session: Session, found: Sequence[Winner], name: str | None = None) -> list[str]:
+def prizes_without_winner(session: Session, winning: Sequence[Winner], name: str | None = None) -> list[str]:
     """Return for each track with prizes that nobody wins a sentence that names them, with how many of each."""
     tracks = Competition.find(session, name).definition.tracks
-    left = {name: _count_unawarded(name, track, found) for name, track in tracks.items()}
+    left = {name: _count_unawarded(name, track, winning) for name, track in tracks.items()}
     return [
         f"{name}: nobody wins {', '.join(f'{count} x {place}' for place, count in prizes.items())}"
         + ("." if tracks[name].taken_here else "; this service does not hold the track.")
@@ -216,19 +216,19 @@ def make_boards(session: Session, competition: Competition) -> list[LeaderboardV
 
 def _winners_now(session: Session, competition: Competition) -> list[Winner]:
     """Return who wins by the boards of the last stages; stored boards rank by the evaluator version of the end."""
-    found = []
+    winning = []
     for stage in competition.last_stages:
         if competition.row.boards is None:
             require_current(session, stage)
-        found += _find_winners(session, stage, competition.definition.currency)
+        winning += _find_winners(session, stage, competition.definition.currency)
     for stage in competition.last_entered_stages:
-        found += _find_winners_by_points(session, stage, competition.definition.currency)
-    return found
+        winning += _find_winners_by_points(session, stage, competition.definition.currency)
+    return winning
 
 
-def _store(session: Session, competition: Competition, found: Sequence[Winner]) -> None:
+def _store(session: Session, competition: Competition, winning: Sequence[Winner]) -> None:
     """Write winners, and the boards as they are for organizers."""
-    competition.row.winners = [asdict(winner) for winner in found]
+    competition.row.winners = [asdict(winner) for winner in winning]
     competition.row.boards = [board.model_dump(mode="json") for board in make_boards(session, competition)]
 
 
@@ -313,8 +313,8 @@ def _order_for_prizes(session: Session, stage: Stage) -> Sequence[tuple[Leaderbo
     return [(entry, None) for entry in board.entries if entry.rank is not None]
 
 
-def _count_unawarded(name: str, track: TrackRules, found: Sequence[Winner]) -> Counter[str]:
-    given = Counter(winner.place for winner in found if winner.track == name)
+def _count_unawarded(name: str, track: TrackRules, winning: Sequence[Winner]) -> Counter[str]:
+    given = Counter(winner.place for winner in winning if winner.track == name)
     return Counter({prize.place: prize.winners for prize in track.prizes}) - given
 
 

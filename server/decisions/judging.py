@@ -91,23 +91,23 @@ def declare_conflict(session: Session, by: Principal, team: str, reason: str, *,
     """
     name = _judge(session, by, judge)
     _require_named(_list_open_rubrics(session), name)
-    found = teams.find(session, team)
-    teams.lock(session, found)  # before the competition, as for marks
+    conflicting = teams.find(session, team)
+    teams.lock(session, conflicting)  # before the competition, as for marks
     # The end, and the same judge's marks from elsewhere, wait for these.
     competitions = [Competition.lock(session, one) for one in sorted(one.name for one in Competition.read_all(session))]
     final = [one for one in competitions if one.row.finalized_at is not None]
     if len(final) == len(competitions):
         final[0].require_not_final()
-    of_team = Submission.team_id == found.id, Submission.competition.not_in([one.name for one in final])
+    of_team = Submission.team_id == conflicting.id, Submission.competition.not_in([one.name for one in final])
     mine = JudgingMark.submission_id.in_(select(Submission.id).where(*of_team))
     before = _take_away(session, name, mine)
-    row = session.get(JudgingConflict, (found.id, name))
+    row = session.get(JudgingConflict, (conflicting.id, name))
     if row is None:
-        session.add(JudgingConflict(team_id=found.id, judge=name, reason=reason))
+        session.add(JudgingConflict(team_id=conflicting.id, judge=name, reason=reason))
     else:
         row.reason = reason
     session.flush()
-    record(session, by, "judging.conflict", f"team:{found.id}", {"judge": name, "reason": reason}, before=before)
+    record(session, by, "judging.conflict", f"team:{conflicting.id}", {"judge": name, "reason": reason}, before=before)
 
 
 def judged(session: Session, by: Principal, stage: Stage) -> list[JudgedTeamView]:
@@ -130,14 +130,14 @@ def ranked_by_total(session: Session, stage: Stage) -> list[tuple[LeaderboardEnt
     board = leaderboard(session, stage, live=True).view.entries
     entries = {entry.submission_id: entry for entry in board if entry.rank is not None}
     rubric = find_rubric(Competition.read(session, stage.competition), stage.track)
-    found = _sort_by_total(session, rubric, list(entries.values()))
-    if missing := [f"{team.team} ({_missing(rubric, team)})" for team in found if team.total is None]:
+    by_total = _sort_by_total(session, rubric, list(entries.values()))
+    if missing := [f"{team.team} ({_missing(rubric, team)})" for team in by_total if team.total is None]:
         raise ServiceError(
             ProblemCode.STAGE_NOT_OVER,
             f"Expected a total for every team of {stage}, got none for {', '.join(missing)}. Let "
             "judges give marks, requeue what has no figures, or change `judging` in the competition's file.",
         )
-    return [(entries[team.submission], team.total) for team in found if team.total is not None]
+    return [(entries[team.submission], team.total) for team in by_total if team.total is not None]
 
 
 def find_rubric(competition: Competition, track: str) -> Judging:
@@ -160,7 +160,7 @@ def percentiles(figures: Mapping[UUID, SensorFigures | None]) -> dict[UUID, floa
     An equal one counts half; of a single sensor it is 1. Figures: information of three pictures, motion of the markers
     per newton (normal, shear), smallest shift of a pin that can be detected, least success under a variation.
     """
-    values = {submission: _values(found) for submission, found in figures.items() if found is not None}
+    values = {submission: _values(measured) for submission, measured in figures.items() if measured is not None}
     return {
         submission: _share(values[submission], [other for key, other in values.items() if key != submission])
         if submission in values
@@ -198,8 +198,8 @@ def figures_of_entry(session: Session, by: Principal, entry: LeaderboardEntryVie
 def _sort_by_total(session: Session, rubric: Judging, entries: Sequence[LeaderboardEntryView]) -> list[JudgedTeamView]:
     """Return the teams of entries, the best total first, those without one last, else in the order given."""
     figures = percentiles({entry.submission_id: figures_of_entry(session, CONSOLE, entry) for entry in entries})
-    found = [_judged(session, rubric, entry, figures[entry.submission_id]) for entry in entries]
-    return sorted(found, key=lambda team: (team.total is None, -(team.total or 0.0)))
+    judged_teams = [_judged(session, rubric, entry, figures[entry.submission_id]) for entry in entries]
+    return sorted(judged_teams, key=lambda team: (team.total is None, -(team.total or 0.0)))
 
 
 def _missing(rubric: Judging, team: JudgedTeamView) -> str:

@@ -112,21 +112,21 @@ def result_files(session: Session, name: str | None = None) -> Mapping[str, str]
         ServiceError: there is no competition, a board has results of another evaluator version, or a winner was
             disqualified after the end.
     """
-    competition, found = Competition.find(session, name), winners(session, name)
+    competition, winning = Competition.find(session, name), winners(session, name)
     boards, final_since = make_boards(session, competition), competition.row.finalized_at
-    _require_qualified(competition, found)
+    _require_qualified(competition, winning)
     final_on = None if final_since is None else f"{final_since.astimezone(UTC):%F}"
     return {
-        "results.json": _json(competition.definition, boards, found, is_final=final_on is not None),
+        "results.json": _json(competition.definition, boards, winning, is_final=final_on is not None),
         "results.csv": _csv(boards),
-        "results.html": _page(competition, boards, found, final_on=final_on, certificates=False),
-        "certificates.html": _page(competition, boards, found, final_on=final_on, certificates=True),
+        "results.html": _page(competition, boards, winning, final_on=final_on, certificates=False),
+        "certificates.html": _page(competition, boards, winning, final_on=final_on, certificates=True),
     }
 
 
-def _require_qualified(competition: Competition, found: Sequence[Winner]) -> None:
+def _require_qualified(competition: Competition, winning: Sequence[Winner]) -> None:
     """Refuse to give a certificate to a team that was disqualified after the end."""
-    out = {team.team for team in disqualified_since_the_end(competition)} & {winner.team for winner in found}
+    out = {team.team for team in disqualified_since_the_end(competition)} & {winner.team for winner in winning}
     if out:
         raise ServiceError(
             ProblemCode.TEAM_DISQUALIFIED,
@@ -136,12 +136,12 @@ def _require_qualified(competition: Competition, found: Sequence[Winner]) -> Non
 
 
 def _json(
-    definition: CompetitionDefinition, boards: Sequence[LeaderboardView], found: Sequence[Winner], *, is_final: bool
+    definition: CompetitionDefinition, boards: Sequence[LeaderboardView], winning: Sequence[Winner], *, is_final: bool
 ) -> str:
     content = {
         "competition": definition.model_dump(mode="json"),
         "is_final": is_final,
-        "winners": [asdict(winner) for winner in found],
+        "winners": [asdict(winner) for winner in winning],
         "boards": [board.model_dump(mode="json") for board in boards],
     }
     return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
@@ -164,7 +164,7 @@ def _row(board: LeaderboardView, entry: LeaderboardEntryView) -> list[object]:
 def _page(
     competition: Competition,
     boards: Sequence[LeaderboardView],
-    found: Sequence[Winner],
+    winning: Sequence[Winner],
     *,
     final_on: str | None,
     certificates: bool,
@@ -173,7 +173,7 @@ def _page(
     return page.render(
         title=competition.definition.title,
         names={name: track.title for name, track in competition.definition.tracks.items()},
-        winners=found,
+        winners=winning,
         boards=boards,
         final_on=final_on,
         stages=competition.stage_titles,
@@ -187,18 +187,18 @@ def archive_view(session: Session, name: str | None = None) -> ArchiveView:
     Raises:
         ServiceError: this service runs none, or it is not final.
     """
-    found, competition = competition_view(session, name), Competition.read(session, name)
-    if found.finalized_at is None:
+    view, competition = competition_view(session, name), Competition.read(session, name)
+    if view.finalized_at is None:
         raise ServiceError(
             ProblemCode.NOT_FOUND,
-            f"{found.title} is still running; its archive appears here once the organizers have made it final.",
+            f"{view.title} is still running; its archive appears here once the organizers have made it final.",
         )
     return ArchiveView(
-        competition=found,
+        competition=view,
         boards=[LeaderboardView.model_validate(board) for board in competition.row.boards or []],
         public_key=ensure_key(session).public_key,
         decided_again_at=find_last_decision(session, competition),
-        citation=_citation(found.name, found.title, found.finalized_at.year, found.website),
+        citation=_citation(view.name, view.title, view.finalized_at.year, view.website),
     )
 
 

@@ -87,10 +87,10 @@ def find(session: Session, by: Principal, rejudgement_id: UUID) -> Rejudgement:
         ServiceError: not an organizer, or there is none of that id that the principal may see.
     """
     by.require_organizer(by.competition)
-    found = session.get(Rejudgement, rejudgement_id)
-    if found is None or not by.organizes(found.competition):
+    rejudgement = session.get(Rejudgement, rejudgement_id)
+    if rejudgement is None or not by.organizes(rejudgement.competition):
         raise not_found("rejudgement", rejudgement_id)
-    return found
+    return rejudgement
 
 
 def rejudgements(session: Session, by: Principal) -> Sequence[Rejudgement]:
@@ -137,16 +137,16 @@ def apply(
         ServiceError: not an organizer, no such rejudgement, it has ended, the competition is final or its boards
             are frozen, an evaluation waits or runs, or something has changed since it was shown.
     """
-    found = _lock_open(session, by, rejudgement_id)
-    _lock_competition(session, found.competition)
-    stage = find_stage(session, found)
+    rejudgement = _lock_open(session, by, rejudgement_id)
+    _lock_competition(session, rejudgement.competition)
+    stage = find_stage(session, rejudgement)
     if stage.frozen_at is not None:
         raise ServiceError(
             ProblemCode.INVALID_REQUEST,
             f"The boards have been frozen since {stage.frozen_at:%F %T} UTC, and this would change them; run "
             "`vitac admin results unfreeze` first.",
         )
-    rows = comparison(session, found)
+    rows = comparison(session, rejudgement)
     going_on = [row.team for row in rows if row.state not in TERMINAL_EVALUATION_STATES]
     if going_on:
         raise ServiceError(
@@ -160,7 +160,7 @@ def apply(
         )
     now = read_clock(session)
     # By id: an evaluation of another rejudgement is locked in the same order.
-    chosen = sorted(find_newest_evaluations(session, found).values(), key=lambda evaluation: evaluation.id)
+    chosen = sorted(find_newest_evaluations(session, rejudgement).values(), key=lambda evaluation: evaluation.id)
     keeping = {row.submission for row in rows if row.keeps_result}
     replacing = [lock_evaluation(session, one.id) for one in chosen if one.submission_id not in keeping]
     completed = [evaluation for evaluation in replacing if evaluation.state is EvaluationState.COMPLETED]
@@ -174,8 +174,15 @@ def apply(
         session.flush()
         flag_copies(session, evaluation)
         note_near_copies(session, evaluation, read_played_records(session, evaluation))
-    found.applied_at = now
-    record(session, by, "rejudgement.apply", _subject(found), _audited(rows, "after"), before=_audited(rows, "before"))
+    rejudgement.applied_at = now
+    record(
+        session,
+        by,
+        "rejudgement.apply",
+        _subject(rejudgement),
+        _audited(rows, "after"),
+        before=_audited(rows, "before"),
+    )
     append(  # last of all, with the receipts: an entry of the log locks out all others
         session,
         lambda at: RejudgementApplied(
@@ -183,7 +190,7 @@ def apply(
             competition=stage.competition,
             track=stage.track,
             stage=stage.name,
-            rejudgement=found.id,
+            rejudgement=rejudgement.id,
             replaced=len(completed),
             withdrawn=len(replacing) - len(completed),
         ),
@@ -199,13 +206,15 @@ def discard(session: Session, by: Principal, rejudgement_id: UUID) -> None:
     Raises:
         ServiceError: not an organizer, no such rejudgement, or it has ended.
     """
-    found = _lock_open(session, by, rejudgement_id)
-    for evaluation in sorted(find_newest_evaluations(session, found).values(), key=lambda evaluation: evaluation.id):
+    rejudgement = _lock_open(session, by, rejudgement_id)
+    for evaluation in sorted(
+        find_newest_evaluations(session, rejudgement).values(), key=lambda evaluation: evaluation.id
+    ):
         locked = lock_evaluation(session, evaluation.id)
         if locked.state in ACTIVE_EVALUATION_STATES:
             lifecycle.cancel(session, locked)
-    found.discarded_at = read_clock(session)
-    record(session, by, "rejudgement.discard", _subject(found), {"discarded": True})
+    rejudgement.discarded_at = read_clock(session)
+    record(session, by, "rejudgement.discard", _subject(rejudgement), {"discarded": True})
 
 
 def _chosen(session: Session, stage: Stage, ids: Collection[UUID]) -> Sequence[Submission]:
@@ -222,27 +231,29 @@ def _chosen(session: Session, stage: Stage, ids: Collection[UUID]) -> Sequence[S
         .with_for_update(key_share=True, of=Submission)
     )
     known = query.where(takes_part(), Submission.tasks.contained_by(list(load_known_track(stage.track).tasks)))
-    found = session.scalars(query.where(Submission.id.in_(ids)) if ids else known).all()
-    missing = set(ids) - {submission.id for submission in found}
-    if missing or not found:
+    chosen = session.scalars(query.where(Submission.id.in_(ids)) if ids else known).all()
+    missing = set(ids) - {submission.id for submission in chosen}
+    if missing or not chosen:
         what = f"submission {min(missing)}" if missing else "any submission"
         raise ServiceError(
             ProblemCode.NOT_FOUND,
             f"Expected models of {stage}, but {what} is none. Logs cannot be evaluated again, and uploads that were "
             "removed with their team neither.",
         )
-    return found
+    return chosen
 
 
 def _lock_open(session: Session, by: Principal, rejudgement_id: UUID) -> Rejudgement:
     by.require_organizer(by.competition)
-    found = session.get(Rejudgement, rejudgement_id, with_for_update=True, populate_existing=True)
-    if found is None or not by.organizes(found.competition):
+    rejudgement = session.get(Rejudgement, rejudgement_id, with_for_update=True, populate_existing=True)
+    if rejudgement is None or not by.organizes(rejudgement.competition):
         raise not_found("rejudgement", rejudgement_id)
-    if found.applied_at or found.discarded_at:
-        how = "applied" if found.applied_at else "discarded"
-        raise ServiceError(ProblemCode.NOT_REQUEUABLE, f"Rejudgement {found.id} was {how} already; start another one.")
-    return found
+    if rejudgement.applied_at or rejudgement.discarded_at:
+        how = "applied" if rejudgement.applied_at else "discarded"
+        raise ServiceError(
+            ProblemCode.NOT_REQUEUABLE, f"Rejudgement {rejudgement.id} was {how} already; start another one."
+        )
+    return rejudgement
 
 
 def _lock_competition(session: Session, name: str) -> None:
@@ -269,9 +280,9 @@ def rejudgement_detail_view(
     session: Session, rejudgement: Rejudgement, rows: Sequence[RejudgedSubmissionView] | None = None
 ) -> RejudgementDetailView:
     """Return a rejudgement with its submissions; `rows`: as they were compared before it was applied."""
-    found = comparison(session, rejudgement) if rows is None else rows
+    compared = comparison(session, rejudgement) if rows is None else rows
     return RejudgementDetailView(
         **dict(rejudgement_view(rejudgement)),
-        revision=compute_revision(found),
-        submissions=list(found),
+        revision=compute_revision(compared),
+        submissions=list(compared),
     )

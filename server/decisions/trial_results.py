@@ -74,10 +74,10 @@ def _read_played(session: Session, submission: Submission, places: Places) -> Pl
 def _compare(
     played: Mapping[Submission, Played], common: set[tuple[str, int]], names: Mapping[Submission, str]
 ) -> list[TrialDifferenceView]:
-    found = []
+    differences = []
     for first, second in combinations(played, 2):
         for comparison in compare_tasks(*([played[each][key] for key in common] for each in (first, second))).values():
-            found.append(
+            differences.append(
                 TrialDifferenceView(
                     first=names[first],
                     second=names[second],
@@ -86,7 +86,7 @@ def _compare(
                     p_value=comparison.p_value,
                 )
             )
-    return found
+    return differences
 
 
 def _find_effects(played: Mapping[Submission, Played], places: Places) -> list[StationEffectView]:
@@ -111,13 +111,13 @@ def _list_differences(
     submissions: Iterable[Submission],
 ) -> list[tuple[float, float]]:
     """Return for each submission its rate at a station minus that elsewhere, with its variance."""
-    found = []
+    differences = []
     for submission in submissions:
         here = at.get((station, submission), [])
         there = [end for other in stations if other != station for end in at.get((other, submission), [])]
         if here and there:
-            found.append((fmean(here) - fmean(there), _variance(here) + _variance(there)))
-    return found
+            differences.append((fmean(here) - fmean(there), _variance(here) + _variance(there)))
+    return differences
 
 
 def _variance(ends: Sequence[bool]) -> float:

@@ -18,8 +18,8 @@ def unsettled(competition: Competition, now: datetime) -> list[Concern]:
 
 
 def _appeals(competition: Competition) -> Iterator[Concern]:
-    if found := open_in_competition(competition.session, competition):
-        listed = ", ".join(f"{one.id} of {one.team.name}" for one in found)
+    if waiting := open_in_competition(competition.session, competition):
+        listed = ", ".join(f"{one.id} of {one.team.name}" for one in waiting)
         yield Concern(
             name="open_appeals", sentence=f"No ruling was made on appeals {listed}; they are rejected with the end."
         )
@@ -39,11 +39,11 @@ def _appeal_time(competition: Competition, now: datetime) -> Iterator[Concern]:
 def _rejudgements(competition: Competition) -> Iterator[Concern]:
     waiting = Rejudgement.applied_at.is_(None), Rejudgement.discarded_at.is_(None)
     in_competition = Rejudgement.competition == competition.name, Rejudgement.stage != ""
-    found = competition.session.scalars(
+    rejudgements = competition.session.scalars(
         select(Rejudgement).where(*in_competition, *waiting).order_by(Rejudgement.started_at)
     ).all()
-    if found:
-        listed = ", ".join(f"{one.id} of stage {one.stage} of {one.track}" for one in found)
+    if rejudgements:
+        listed = ", ".join(f"{one.id} of stage {one.stage} of {one.track}" for one in rejudgements)
         yield Concern(name="rejudgements", sentence=f"Rejudgements {listed} are neither applied nor discarded.")
 
 

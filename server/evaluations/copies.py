@@ -105,8 +105,8 @@ def _beginnings(session: Session, episodes: Collection[int]) -> dict[int, bytes]
     rows = session.execute(
         select(EpisodeResult.id, EpisodeResult.record["actions"]).where(EpisodeResult.id.in_(episodes))
     )
-    actions = {episode: ActionSequence.model_validate(found).to_array() for episode, found in rows}
-    return {episode: (found[: (len(found) + 1) // 2] + 0.0).tobytes() for episode, found in actions.items()}
+    actions = {episode: ActionSequence.model_validate(beginning).to_array() for episode, beginning in rows}
+    return {episode: (beginning[: (len(beginning) + 1) // 2] + 0.0).tobytes() for episode, beginning in actions.items()}
 
 
 def mark_copy(session: Session, evaluation: Evaluation) -> None:
@@ -142,7 +142,7 @@ def find_copies(
     """
     if not evaluations:
         return {}
-    found = {
+    copies = {
         near.evaluation_id: CopyView(
             team=names.show_name(team),
             episodes=near.near,
@@ -157,8 +157,8 @@ def find_copies(
         )
     }
     if not logs:
-        return found
-    return found | {
+        return copies
+    return copies | {
         evaluation_id: CopyView(
             team=names.show_name(team), episodes=episodes, ranked=not is_copy, cleared_for=cleared_for
         )
@@ -205,38 +205,38 @@ def _cleared_for(evaluation_id: InstrumentedAttribute[UUID]) -> ScalarSelect[str
 
 def count_copied_episodes() -> ScalarSelect[int]:
     """Return how many episodes of a row of `evaluations` have the states of an earlier log, for a query on them."""
-    found = select(func.max(LogCopy.episodes)).where(LogCopy.evaluation_id == Evaluation.id)
-    return select(func.coalesce(found.correlate(Evaluation).scalar_subquery(), 0)).scalar_subquery()
+    largest = select(func.max(LogCopy.episodes)).where(LogCopy.evaluation_id == Evaluation.id)
+    return select(func.coalesce(largest.correlate(Evaluation).scalar_subquery(), 0)).scalar_subquery()
 
 
 def _twins(session: Session, evaluation: Evaluation) -> list[_Twin]:
     """Return the submissions of other teams that share states; of equal ones the earliest first."""
     submission = evaluation.submission
-    found = _first_with_states(evaluation).cte("found")
+    states = _first_with_states(evaluation).cte("found")
     own = (
-        select(found.c.episode, found.c.first_at, found.c.first_id)
-        .where(found.c.team_id == submission.team_id)
+        select(states.c.episode, states.c.first_at, states.c.first_id)
+        .where(states.c.team_id == submission.team_id)
         .distinct()
         .subquery()
     )
     rows = session.execute(
         select(
-            found.c.submission_id,
-            found.c.kind,
-            found.c.submitted_at,
-            func.array_remove(func.array_agg(case((found.c.whole, found.c.episode))), None),
-            func.array_remove(func.array_agg(case((~found.c.whole, found.c.episode))), None),
+            states.c.submission_id,
+            states.c.kind,
+            states.c.submitted_at,
+            func.array_remove(func.array_agg(case((states.c.whole, states.c.episode))), None),
+            func.array_remove(func.array_agg(case((~states.c.whole, states.c.episode))), None),
         )
-        .join(own, own.c.episode == found.c.episode)
+        .join(own, own.c.episode == states.c.episode)
         .where(
-            found.c.team_id != submission.team_id,
+            states.c.team_id != submission.team_id,
             or_(
-                tuple_(found.c.submitted_at, found.c.submission_id) < tuple_(own.c.first_at, own.c.first_id),
-                tuple_(found.c.first_at, found.c.first_id) > tuple_(submission.submitted_at, submission.id),
+                tuple_(states.c.submitted_at, states.c.submission_id) < tuple_(own.c.first_at, own.c.first_id),
+                tuple_(states.c.first_at, states.c.first_id) > tuple_(submission.submitted_at, submission.id),
             ),
         )
-        .group_by(found.c.submission_id, found.c.kind, found.c.submitted_at)
-        .order_by(found.c.submitted_at, found.c.submission_id)
+        .group_by(states.c.submission_id, states.c.kind, states.c.submitted_at)
+        .order_by(states.c.submitted_at, states.c.submission_id)
     )
     return [
         _Twin(submission_id=submission_id, kind=kind, submitted_at=submitted_at, whole=whole, begun=begun)

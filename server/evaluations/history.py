@@ -58,11 +58,11 @@ def histories(
         with_output: with what their policies printed, which is up to 64 Ki characters each, and could import.
     """
     by_id = {submission.id: submission for submission in submissions}
-    found: dict[UUID, list[Evaluation]] = {submission_id: [] for submission_id in by_id}
-    for evaluation in session.scalars(_select_evaluations(with_output), {"submissions": list(found)}):
+    by_submission: dict[UUID, list[Evaluation]] = {submission_id: [] for submission_id in by_id}
+    for evaluation in session.scalars(_select_evaluations(with_output), {"submissions": list(by_submission)}):
         set_committed_value(evaluation, "submission", by_id[evaluation.submission_id])
-        found[evaluation.submission_id].append(evaluation)
-    return found
+        by_submission[evaluation.submission_id].append(evaluation)
+    return by_submission
 
 
 @cache
@@ -125,15 +125,15 @@ def report_difference(session: Session, lease: Lease, *, episode: int, stored: s
 
 def differing_episodes(session: Session, evaluations: Collection[Evaluation]) -> dict[UUID, list[DifferingEpisodeView]]:
     """Return the alarms of each evaluation, in the order of the episodes."""
-    found: dict[UUID, list[DifferingEpisodeView]] = {evaluation.id: [] for evaluation in evaluations}
+    differing: dict[UUID, list[DifferingEpisodeView]] = {evaluation.id: [] for evaluation in evaluations}
     rows = session.scalars(
         select(EpisodeDifference)
-        .where(among(EpisodeDifference.evaluation_id, found))
+        .where(among(EpisodeDifference.evaluation_id, differing))
         .order_by(EpisodeDifference.task, EpisodeDifference.episode, EpisodeDifference.id)
     )
     for row in rows:
-        found[row.evaluation_id].append(DifferingEpisodeView.model_validate(row, from_attributes=True))
-    return found
+        differing[row.evaluation_id].append(DifferingEpisodeView.model_validate(row, from_attributes=True))
+    return differing
 
 
 def count_differing_episodes() -> ScalarSelect[int]:

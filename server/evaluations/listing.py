@@ -24,10 +24,10 @@ def find(session: Session, evaluation_id: UUID) -> Evaluation:
     Raises:
         ServiceError: there is none.
     """
-    found = session.get(Evaluation, evaluation_id)
-    if found is None:
+    evaluation = session.get(Evaluation, evaluation_id)
+    if evaluation is None:
         raise not_found("evaluation", evaluation_id)
-    return found
+    return evaluation
 
 
 def list_evaluations(

@@ -101,7 +101,7 @@ def list_near_copies(session: Session, by: Principal, *, limit: int = 1000) -> l
     )
     if by.competition is not None:
         query = query.where(Submission.competition == by.competition)
-    return [_view(found) for found in session.scalars(query)]
+    return [_view(near) for near in session.scalars(query)]
 
 
 def _find_alike(session: Session, evaluation: Evaluation, task: str, commitment: str, trace: Trace) -> Iterator[_Other]:
@@ -121,9 +121,9 @@ def _find_alike(session: Session, evaluation: Evaluation, task: str, commitment:
             actions=np.frombuffer(actions, np.float32).reshape(-1, *trace.actions.shape[1:]),
             paths=_read_paths(paths, trace.paths.shape[1:]),
         )
-        found = _Other(evaluation=other, earlier=compare_traces(theirs, trace), later=compare_traces(trace, theirs))
-        if found.earlier.is_copy or found.later.is_copy:
-            yield found
+        compared = _Other(evaluation=other, earlier=compare_traces(theirs, trace), later=compare_traces(trace, theirs))
+        if compared.earlier.is_copy or compared.later.is_copy:
+            yield compared
 
 
 def _note(session: Session, evaluation: Evaluation, task: str, commitment: str, alike: Sequence[_Other]) -> None:
@@ -174,22 +174,22 @@ def _read_paths(content: bytes, shape: tuple[int, ...]) -> NDArray[np.float32]:
     return numbers.reshape(-1, *shape) if size and numbers.size % size == 0 else np.zeros((0, *shape), np.float32)
 
 
-def _view(found: NearCopy) -> NearCopyView:
-    later, earlier = found.evaluation.submission, found.earlier_submission
+def _view(near: NearCopy) -> NearCopyView:
+    later, earlier = near.evaluation.submission, near.earlier_submission
     return NearCopyView(
-        evaluation_id=found.evaluation_id,
+        evaluation_id=near.evaluation_id,
         submission_id=later.id,
         submission_name=later.name,
         team=later.team.name,
         earlier_submission_id=earlier.id,
         earlier_submission_name=earlier.name,
         earlier_team=earlier.team.name,
-        task=found.task,
-        sealed=bool(found.commitment),
-        near=found.near,
-        episodes=found.episodes,
-        difference=found.difference,
-        found_at=found.found_at,
+        task=near.task,
+        sealed=bool(near.commitment),
+        near=near.near,
+        episodes=near.episodes,
+        difference=near.difference,
+        found_at=near.found_at,
     )
 
 
@@ -232,39 +232,39 @@ def list_archive_copies(session: Session, by: Principal, *, limit: int = 1000) -
         query = query.where(Submission.competition == by.competition)
     return [
         ArchiveCopyView.from_row(
-            found,
-            submission_name=found.submission.name,
-            team=found.submission.team.name,
-            earlier_submission_name=found.earlier_submission.name,
-            earlier_team=found.earlier_submission.team.name,
-            track=found.submission.track,
+            copy,
+            submission_name=copy.submission.name,
+            team=copy.submission.team.name,
+            earlier_submission_name=copy.earlier_submission.name,
+            earlier_team=copy.earlier_submission.team.name,
+            track=copy.submission.track,
         )
-        for found in session.scalars(query)
+        for copy in session.scalars(query)
     ]
 
 
-def compare_archives(session: Session, by: Principal, found: Collection[NearCopyView]) -> list[NearCopyView]:
+def compare_archives(session: Session, by: Principal, copies: Collection[NearCopyView]) -> list[NearCopyView]:
     """Return near copies with how alike the archives are, where both are models.
 
     Raises:
         ServiceError: not an organizer.
     """
     by.require_organizer(by.competition)
-    asked = {id_ for one in found for id_ in (one.submission_id, one.earlier_submission_id)}
+    asked = {id_ for one in copies for id_ in (one.submission_id, one.earlier_submission_id)}
     rows = session.execute(
         select(Submission.id, Submission.archive_sketch).where(
             Submission.id.in_(asked), Submission.archive_sketch.is_not(None)
         )
     )
     sketches = {row.id: ArchiveSketch.from_bytes(row.archive_sketch) for row in rows}
-    return [_compared(one, sketches.get(one.earlier_submission_id), sketches.get(one.submission_id)) for one in found]
+    return [_compared(one, sketches.get(one.earlier_submission_id), sketches.get(one.submission_id)) for one in copies]
 
 
-def _compared(found: NearCopyView, earlier: ArchiveSketch | None, later: ArchiveSketch | None) -> NearCopyView:
+def _compared(near: NearCopyView, earlier: ArchiveSketch | None, later: ArchiveSketch | None) -> NearCopyView:
     if earlier is None or later is None:
-        return found
+        return near
     alike = compare_sketches(earlier, later)
-    return found.model_copy(update={"code": alike.code, "weights": alike.weights})
+    return near.model_copy(update={"code": alike.code, "weights": alike.weights})
 
 
 def _find_alike_archives(

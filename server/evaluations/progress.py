@@ -65,9 +65,9 @@ def make_progress_view(evaluation: Evaluation, submission: Submission, counts: E
 
 def _planned(evaluation: Evaluation, submission: Submission, task: str) -> int:
     """Return how many episodes are played of a task: those of its lists, or of the shards where it was removed."""
-    found = known_task(submission.track, task)
-    if found is not None:
-        return len(found.episodes) * len(played_keys(evaluation, submission))
+    definition = known_task(submission.track, task)
+    if definition is not None:
+        return len(definition.episodes) * len(played_keys(evaluation, submission))
     return sum(len(shard.episodes) for shard in evaluation.shards if shard.task == task)
 
 

@@ -22,7 +22,7 @@ def known_manifest(session: Session, lease: Lease) -> Manifest | None:
     a shard of the same evaluation: another sensor has another mesh.
     """
     is_the_same = Evaluation.id == lease.evaluation_id if lease.sensor_sha256 else Submission.track == lease.track
-    found = session.scalar(
+    manifest = session.scalar(
         select(Shard.manifest)
         .join(Evaluation)
         .join(Submission)
@@ -36,7 +36,7 @@ def known_manifest(session: Session, lease: Lease) -> Manifest | None:
         )
         .limit(1)
     )
-    return Manifest.model_validate(found) if found is not None else None
+    return Manifest.model_validate(manifest) if manifest is not None else None
 
 
 def read_provenance(session: Session, evaluation: Evaluation, task: str, commitment: str) -> Manifest:
@@ -48,7 +48,7 @@ def read_provenance(session: Session, evaluation: Evaluation, task: str, commitm
         task: name.
         commitment: of the sealed list; empty for the public one.
     """
-    found = session.scalars(
+    manifests = session.scalars(
         select(Shard.manifest).where(
             Shard.evaluation_id == evaluation.id,
             Shard.task == task,
@@ -56,7 +56,7 @@ def read_provenance(session: Session, evaluation: Evaluation, task: str, commitm
             Shard.state == WorkState.DONE,
         )
     ).first()
-    return Manifest.model_validate(found)
+    return Manifest.model_validate(manifests)
 
 
 def note_packages(session: Session, lease: Lease, packages: Mapping[str, str]) -> None:

@@ -110,10 +110,12 @@ def combined_score(evaluation: Evaluation) -> CombinedScore | None:
 
 def combined_result(evaluation: Evaluation) -> CombinedResult | None:
     """Return the score over all tasks for the receipt of an evaluation; None where there is none, as for a log."""
-    found = combined_score(evaluation) if evaluation.submission.kind.form.runs_policy else None
+    combined = combined_score(evaluation) if evaluation.submission.kind.form.runs_policy else None
     return (
-        CombinedResult(success_rate=found.success_rate, mean_steps=found.mean_steps, measures=dict(found.measures))
-        if found
+        CombinedResult(
+            success_rate=combined.success_rate, mean_steps=combined.mean_steps, measures=dict(combined.measures)
+        )
+        if combined
         else None
     )
 
@@ -129,15 +131,15 @@ def played_score(counting: Collection[str], scores: Mapping[str, Score]) -> Play
     played = {task: scores[task] for task in counting if task in scores}
     if not played:
         return None
-    found = combine(played, played)
+    combined = combine(played, played)
     return PlayedScoreView(
         tasks=list(played),
         episodes=sum(score.episodes for score in played.values()),
         starts=sum(score.starts for score in played.values()),
         successes=sum(score.successes for score in played.values()),
-        success_rate=found.success_rate,
-        success_rate_interval=bounds(found.interval),
-        mean_steps=found.mean_steps,
+        success_rate=combined.success_rate,
+        success_rate_interval=bounds(combined.interval),
+        mean_steps=combined.mean_steps,
     )
 
 
@@ -167,17 +169,17 @@ def practice_score_views(evaluation: Evaluation) -> list[PracticeScoreView] | No
 
 
 def _practice_score_view(row: Mapping[str, Any], sealed: Score) -> PracticeScoreView:
-    found, p_value = Score.model_validate(_select_score(row)), float(row["p_value"])
-    points = 100 * (found.success_rate - sealed.success_rate)
-    low, high = interval_of_difference(found, sealed)
+    public, p_value = Score.model_validate(_select_score(row)), float(row["p_value"])
+    points = 100 * (public.success_rate - sealed.success_rate)
+    low, high = interval_of_difference(public, sealed)
     sentence = (
-        f"Public list: {100 * found.success_rate:.1f} % ({found.successes} of {found.episodes}), "
+        f"Public list: {100 * public.success_rate:.1f} % ({public.successes} of {public.episodes}), "
         f"{abs(points):.1f} points {'above' if points > 0 else 'below'} the sealed one "
         f"(95 % interval {100 * low:+.1f} to {100 * high:+.1f}). Better on the public list "
         f"than on the sealed one: p = {p_value:.2g}."
     )
     return PracticeScoreView(
-        **dict(_score_view(row["task"], found, row["result_hash"])), p_value=p_value, sentence=sentence
+        **dict(_score_view(row["task"], public, row["result_hash"])), p_value=p_value, sentence=sentence
     )
 
 

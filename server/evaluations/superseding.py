@@ -43,10 +43,10 @@ def supersede_outdated(session: Session, settings: Settings) -> int:
     if not workers_alive(session, settings, evaluator_version()).alive:
         return 0
     if read_outdated_rule(session) is OutdatedRule.FINISH:
-        found = _outdated(session, Evaluation.state == EvaluationState.QUEUED)
+        outdated = _outdated(session, Evaluation.state == EvaluationState.QUEUED)
     else:
-        found = _outdated(session, is_unserved(settings))
-    begun = [unless_held(session, partial(_begin_again, session, evaluation_id)) for evaluation_id in found]
+        outdated = _outdated(session, is_unserved(settings))
+    begun = [unless_held(session, partial(_begin_again, session, evaluation_id)) for evaluation_id in outdated]
     return begun.count(True)
 
 
@@ -86,10 +86,10 @@ def restart_unserved(session: Session, by: Principal, settings: Settings) -> lis
         ServiceError: not an organizer.
     """
     by.require_organizer()
-    found = _outdated(session, is_unserved(settings))
-    for evaluation_id in found:
+    outdated = _outdated(session, is_unserved(settings))
+    for evaluation_id in outdated:
         restart(session, by, evaluation_id)
-    return list(found)
+    return list(outdated)
 
 
 def _outdated(session: Session, *conditions: ColumnElement[bool]) -> Sequence[UUID]:

@@ -101,22 +101,28 @@ class EvaluationRows:
             by: who asks, and gets what may be shown to them.
             with_output: with what the policies printed and could import, which `histories` then reads with the rest.
         """
-        sights = {found.id: decide_sight(by, found) for found in evaluations}
-        organized = [found for found in evaluations if by.organizes(found.submission.competition)]
-        hidden = frozenset(found.id for found in evaluations if find_shown_key(session, by, found) is None)
+        sights = {evaluation.id: decide_sight(by, evaluation) for evaluation in evaluations}
+        organized = [evaluation for evaluation in evaluations if by.organizes(evaluation.submission.competition)]
+        hidden = frozenset(
+            evaluation.id for evaluation in evaluations if find_shown_key(session, by, evaluation) is None
+        )
         kept = {
-            found.id: view
-            for found in evaluations
-            if found.state is EvaluationState.COMPLETED and (view := _complete.find(_key(found, hidden)))
+            evaluation.id: view
+            for evaluation in evaluations
+            if evaluation.state is EvaluationState.COMPLETED and (view := _complete.find(_key(evaluation, hidden)))
         }
         return cls(
             kept=kept,
-            isolation=isolation_levels(session, [found for found in evaluations if found.id not in kept]),
+            isolation=isolation_levels(
+                session, [evaluation for evaluation in evaluations if evaluation.id not in kept]
+            ),
             differing=differing_episodes(session, organized) if organized else {},
             output={
-                found.id: _output(session, found) for found in evaluations if with_output and sights[found.id].output
+                evaluation.id: _output(session, evaluation)
+                for evaluation in evaluations
+                if with_output and sights[evaluation.id].output
             },
-            packages={found.id: _packages(found) for found in evaluations} if with_output else {},
+            packages={evaluation.id: _packages(evaluation) for evaluation in evaluations} if with_output else {},
             counts=episode_counts(session, evaluations),
             hidden=hidden,
             positions=queue_positions(session, evaluations),

@@ -221,5 +221,5 @@ def _score(figures: _Figures) -> TaskRateView:
     )
 
 
-def _columns(found: Rate) -> dict[str, Any]:
-    return found.model_dump(exclude={"interval"}) | {"success_rate_interval": bounds(found.interval)}
+def _columns(counted: Rate) -> dict[str, Any]:
+    return counted.model_dump(exclude={"interval"}) | {"success_rate_interval": bounds(counted.interval)}

@@ -104,8 +104,8 @@ def places(session: Session, combined: Board) -> PlacesOfBoards:
         session: of the transaction.
         combined: the board of all tasks together.
     """
-    found = known_track(combined.track)
-    tasks = (None, *(name for name, task in found.tasks.items() if not is_reference(task))) if found else ()
+    track = known_track(combined.track)
+    tasks = (None, *(name for name, task in track.tasks.items() if not is_reference(task))) if track else ()
     boards = [replace(combined, task=task) for task in tasks]
 
     def read() -> PlacesOfBoards:

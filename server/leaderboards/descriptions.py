@@ -60,11 +60,11 @@ def descriptions_among(session: Session, by: Principal, public: Collection[UUID]
     query = select(Submission).where(
         among(Submission.id, public), Submission.description.is_not(None), Submission.description_removed_for.is_(None)
     )
-    found = session.scalars(query.options(joinedload(Submission.team))).all()
-    if not found:
+    described = session.scalars(query.options(joinedload(Submission.team))).all()
+    if not described:
         return {}
     shown = ShownNames.read(session, by)
-    return {one.id: view for one in found if (view := show_description(one, by, shown))}
+    return {one.id: view for one in described if (view := show_description(one, by, shown))}
 
 
 def describe(

@@ -127,8 +127,8 @@ def past_results(session: Session, by: Principal, shown: Evaluation) -> list[Pas
     }
     stage = find_stage(session, submission)
     compared = {task: stage.find_ranking(task).compared_first for task in submission.tasks}
-    found = session.execute(_results(), asked).mappings()
-    return [_past_result(row, compared[row["task"]]) for row in found]
+    rows = session.execute(_results(), asked).mappings()
+    return [_past_result(row, compared[row["task"]]) for row in rows]
 
 
 def _past_result(row: RowMapping, ranked_by: RankingKey) -> PastResultView:

@@ -59,14 +59,14 @@ def log_boards(session: Session, stage: Stage, *, unfrozen: bool = False) -> Mad
     track, counted = load_known_track(stage.track), stage.counted_results(live=unfrozen)
     rule = f"{stage.describe_ranking() or track.ranking_rule} {_WHAT_IS_RANKED}"
     shown_names = ShownNames.read(session, VISITOR)
-    found = kept_until_change(
+    board = kept_until_change(
         session,
         ("logs", stage.competition, stage.track, stage.name, rule, counted, shown_names),
         lambda: _found(session, track, stage, counted, shown_names, rule),
     )
-    made = partial(_view, session, track, found)
+    made = partial(_view, session, track, board)
     key = (stage.competition, stage.track, stage.name, unfrozen)
-    return _made_boards.get(key, found.revision, made, names=found.names)
+    return _made_boards.get(key, board.revision, made, names=board.names)
 
 
 _Place = tuple[SubmissionKind, str]
@@ -171,7 +171,7 @@ def _text_logs(session: Session, shown: _Shown, last: Iterable[TextLogEntryView]
     """Return the views of text logs by their evaluations; those that were there before, too, are not read again."""
     kept = {view.evaluation_id: view for view in last}
     new = completed_evaluations(session, set(shown.text_logs) - kept.keys())
-    return [_text_log(new[found], shown.shown_names) if found in new else kept[found] for found in shown.text_logs]
+    return [_text_log(new[entry], shown.shown_names) if entry in new else kept[entry] for entry in shown.text_logs]
 
 
 @cache  # building it takes longer than running it

@@ -151,14 +151,14 @@ class BoardSearch:
 
     def apply(self, board: LeaderboardView) -> LeaderboardView:
         """Return a leaderboard with the rows that are shown."""
-        found = {"entries": self.find(board.entries), "baselines": self.find_baselines(board.baselines)}
-        return board if self.is_empty else board.model_copy(update=found)
+        parts = {"entries": self.find(board.entries), "baselines": self.find_baselines(board.baselines)}
+        return board if self.is_empty else board.model_copy(update=parts)
 
-    def apply_to_logs(self, found: LogBoardsView) -> LogBoardsView:
+    def apply_to_logs(self, logs: LogBoardsView) -> LogBoardsView:
         """Return boards of logs with the entries that are shown."""
-        boards = [board.model_copy(update={"entries": self.find(board.entries)}) for board in found.boards]
-        changes = {"boards": boards, "text_logs": self.find(found.text_logs)}
-        return found if self.is_empty else found.model_copy(update=changes)
+        boards = [board.model_copy(update={"entries": self.find(board.entries)}) for board in logs.boards]
+        changes = {"boards": boards, "text_logs": self.find(logs.text_logs)}
+        return logs if self.is_empty else logs.model_copy(update=changes)
 
     def _shows(self, entry: BoardEntryView, wanted: str) -> bool:
         day = entry.submitted_at.astimezone(UTC).date()

@@ -51,13 +51,13 @@ def _read_live(session: Session, submissions: Sequence[UUID], task: str | None) 
         .order_by(Evaluation.created_at, Evaluation.run)
         .options(defer(Evaluation.log_tail))
     )
-    found: dict[UUID, Score | CombinedScore] = {}
+    reached: dict[UUID, Score | CombinedScore] = {}
     for submission, evaluation in rows:
         scores = read_scores(evaluation)
         score = scores.get(task) if task else combine_scores(evaluation, scores)
         if score is not None:
-            found[submission] = score
-    return found
+            reached[submission] = score
+    return reached
 
 
 def _read_final(entry: LeaderboardEntryView) -> CombinedScore:

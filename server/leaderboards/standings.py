@@ -270,7 +270,7 @@ def _add_rank(view: EntryT, rank: int | None) -> EntryT:
 
 def completed_evaluations(session: Session, ids: Collection[UUID]) -> Mapping[UUID, Evaluation]:
     """Return the evaluations behind entries by their ids, with submissions and teams, without what boards leave out."""
-    found = session.scalars(
+    evaluations = session.scalars(
         select(Evaluation)
         .where(Evaluation.id.in_(ids))
         .options(
@@ -279,14 +279,14 @@ def completed_evaluations(session: Session, ids: Collection[UUID]) -> Mapping[UU
             selectinload(Evaluation.submission).selectinload(Submission.team),
         )
     )
-    return {evaluation.id: evaluation for evaluation in found}
+    return {evaluation.id: evaluation for evaluation in evaluations}
 
 
 def _entry(entry: BestEntry, evaluation: Evaluation, *, board: Board, names: ShownNames) -> LeaderboardEntryView | None:
     """Return an entry as it is shown; None for one in tasks of which none counts."""
-    submission, found, task = evaluation.submission, read_scores(evaluation), board.task
-    scores = [score for score in task_views(evaluation, found) if task in {None, score.task}]
-    ranked_by = combine_scores(evaluation, found) if task is None else found[task]
+    submission, by_task, task = evaluation.submission, read_scores(evaluation), board.task
+    scores = [score for score in task_views(evaluation, by_task) if task in {None, score.task}]
+    ranked_by = combine_scores(evaluation, by_task) if task is None else by_task[task]
     if ranked_by is None:
         return None
     return LeaderboardEntryView(
@@ -306,7 +306,7 @@ def _entry(entry: BestEntry, evaluation: Evaluation, *, board: Board, names: Sho
         success_rate_interval=bounds(ranked_by.interval),
         mean_steps=entry.ranked_by["mean_steps"],
         measures=dict(ranked_by.measures),
-        played=played_score(counted_tasks(evaluation) if task is None else (task,), found),
+        played=played_score(counted_tasks(evaluation) if task is None else (task,), by_task),
         scores=scores,
         result_hash=evaluation.result_hash or "",
         evaluator_version=evaluation.evaluator_version,

@@ -135,10 +135,10 @@ class BackupReader:
 
 def _refuse_newer(content: object) -> None:
     """Refuse what a newer release has written, before the keys that it may have added are read."""
-    found = content.get("format") if isinstance(content, dict) else None
-    if isinstance(found, int) and found > FORMAT:
+    written = content.get("format") if isinstance(content, dict) else None
+    if isinstance(written, int) and written > FORMAT:
         release = content.get("release") if isinstance(content, dict) else None
         raise BackupRejected(
-            f"This backup has format {found}, written by release {release!s:.40}; this release reads format {FORMAT}. "
-            "Restore it with that release or a newer one."
+            f"This backup has format {written}, written by release {release!s:.40}; this release reads format "
+            f"{FORMAT}. Restore it with that release or a newer one."
         )

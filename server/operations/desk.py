@@ -142,7 +142,7 @@ def _own(by: Principal) -> tuple[ColumnElement[bool], ...]:
 
 
 def _words(*, by_machines: bool, differing: bool, copy: bool) -> str:
-    found = [
+    causes = [
         words
         for words, holds in (
             ("the machines failed", by_machines),
@@ -151,7 +151,7 @@ def _words(*, by_machines: bool, differing: bool, copy: bool) -> str:
         )
         if holds
     ]
-    return "; ".join(found)
+    return "; ".join(causes)
 
 
 def _count_qualified(session: Session, stage: Stage) -> int:

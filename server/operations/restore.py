@@ -94,9 +94,9 @@ def _require_empty(session: Session, settings: Settings) -> None:
         model.__tablename__: session.scalar(select(func.count()).select_from(model)) or 0
         for model in (Team, ApiToken, Submission)
     }
-    found = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
-    if found:
-        raise ServiceNotEmpty(f"Expected a service without data, got {found}; restore into a new one.")
+    rows = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+    if rows:
+        raise ServiceNotEmpty(f"Expected a service without data, got {rows}; restore into a new one.")
     workers = workers_alive(session, settings).alive
     if workers:
         raise ServiceNotEmpty(f"Expected no running workers, got {workers}; stop them and try again.")

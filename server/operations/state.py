@@ -119,7 +119,7 @@ def _open_rows(
 ) -> dict[StateT, tuple[int, datetime]]:
     """Return number and first time of the rows in each open state that has any."""
     rows = session.execute(select(state, func.count(), func.min(since)).where(state.in_(open_states)).group_by(state))
-    return {found: (count, first) for found, count, first in rows}
+    return {work_state: (count, first) for work_state, count, first in rows}
 
 
 def _age_s(oldest: tuple[int, datetime] | None, now: datetime) -> float | None:

@@ -120,7 +120,10 @@ def erase(session: Session, by: Principal, team: Team) -> None:
 
 def _rename_in_final_results(session: Session, team: Team) -> None:
     """Write a team's present name into winners and boards that were stored at the end of the competition."""
-    own = {str(found) for found in session.scalars(select(Submission.id).where(Submission.team_id == team.id))}
+    own = {
+        str(submission_id)
+        for submission_id in session.scalars(select(Submission.id).where(Submission.team_id == team.id))
+    }
     for name in sorted(competition.name for competition in Competition.read_all(session)):
         _rename_in_results(Competition.lock(session, name).row, team, own)
 
@@ -146,10 +149,10 @@ def _audit_log(session: Session, by: Principal, team: Team) -> list[AuditEntryVi
     lines = session.scalars(
         select(AuditEntry).where(AuditEntry.subject == f"team:{team.id}", known).order_by(AuditEntry.id)
     )
-    found = [entry_view(one) for one in lines]
+    views = [entry_view(one) for one in lines]
     return [
         one.model_copy(update={"before": {key: value for key, value in one.before.items() if key != "contact"}})
         if one.before
         else one
-        for one in found
+        for one in views
     ]

@@ -124,14 +124,14 @@ def ask(session: Session, settings: Settings, by: Principal, episode: EpisodeRes
     wait_for_turn(session, AdvisoryLock.PLAYBACK_OF_REQUESTER, asked_by)
     # The second of two who ask at the same time waits here for the first one.
     wait_for_turn(session, AdvisoryLock.PLAYBACK_OF_EPISODE, playback_key(episode))
-    found = find_playback(session, episode)
-    if found is not None and not _may_retry(session, found):
-        return found
+    existing = find_playback(session, episode)
+    if existing is not None and not _may_retry(session, existing):
+        return existing
     _require_somebody_who_draws(session, settings, episode)
     if not by.organizes_any:
         _refuse_one_more(session, settings, asked_by)
-    if found is not None:
-        remove(session, Playback.id == found.id)
+    if existing is not None:
+        remove(session, Playback.id == existing.id)
     version = find_version(episode.track)
     requires = name_requirement(version, find_playback_family(episode.track, episode.task))
     playback = Playback(

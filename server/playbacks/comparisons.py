@@ -48,7 +48,7 @@ def _same_start(
 ) -> list[EpisodeChoiceView]:
     """Return the same start as others played it: the best of the board, then who solved it, then the newest."""
     played = and_(Submission.digest == EpisodeResult.submission_digest, Submission.track == EpisodeResult.track)
-    found = session.scalars(
+    others = session.scalars(
         select(Submission)
         .join(EpisodeResult, played)
         .where(
@@ -67,7 +67,7 @@ def _same_start(
     )
     names = ShownNames.read(session, by)
     choices: list[EpisodeChoiceView] = []
-    for submission in found.unique():
+    for submission in others.unique():
         shown = _visible_episode(session, by, submission.id, episode.task, episode.episode)
         if shown is not None and len(choices) < LISTED:
             leads = ", first of the board" if submission.id == best else ""

@@ -45,7 +45,7 @@ def list_stills(session: Session, by: Principal, submission_id: UUID) -> Sequenc
         .order_by(EpisodeResult.task, EpisodeResult.outcome, EpisodeResult.episode)
         .ext(distinct_on(EpisodeResult.task, EpisodeResult.outcome))
     )
-    return [_view(found, shown) for found, shown in rows if shown == playback_key(found)]
+    return [_view(result, shown) for result, shown in rows if shown == playback_key(result)]
 
 
 def find_stills(session: Session, by: Principal, submissions: Collection[UUID]) -> Mapping[UUID, StillView]:
@@ -58,9 +58,9 @@ def find_stills(session: Session, by: Principal, submissions: Collection[UUID]) 
     """
     rows = session.execute(_select_stills(), {"submissions": list(submissions)})
     return {
-        evaluation.submission_id: _view(found, shown)
-        for evaluation, found, shown in rows
-        if shown == playback_key(found) and find_shown_key(session, by, evaluation) is not None
+        evaluation.submission_id: _view(result, shown)
+        for evaluation, result, shown in rows
+        if shown == playback_key(result) and find_shown_key(session, by, evaluation) is not None
     }
 
 
@@ -91,8 +91,8 @@ def _select_stills() -> Select[Evaluation, EpisodeResult, str]:
     )
 
 
-def _view(found: EpisodeResult, key: str) -> StillView:
-    return StillView(task=found.task, episode=found.episode, outcome=EpisodeOutcome(found.outcome), key=key)
+def _view(result: EpisodeResult, key: str) -> StillView:
+    return StillView(task=result.task, episode=result.episode, outcome=EpisodeOutcome(result.outcome), key=key)
 
 
 def ask_for_missing_stills(session: Session, settings: Settings, seen: set[UUID]) -> None:

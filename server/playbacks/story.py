@@ -162,15 +162,15 @@ def _describe_position(course: _Course) -> str:
 
 def _moments(outcome: EpisodeOutcome, course: _Course) -> tuple[StoryMomentView, ...]:
     held, last = course.perspective.held_name, len(course.infos)
-    found = [StoryMomentView(env_step=step, mark=Mark.SLIP, text="a gel springs back") for step in course.slipped]
+    moments = [StoryMomentView(env_step=step, mark=Mark.SLIP, text="a gel springs back") for step in course.slipped]
     if course.touched:
-        found.append(StoryMomentView(env_step=course.touched, mark=Mark.TOUCH, text=f"the {held} touches"))
+        moments.append(StoryMomentView(env_step=course.touched, mark=Mark.TOUCH, text=f"the {held} touches"))
     if outcome is EpisodeOutcome.SUCCESS:
-        found.append(StoryMomentView(env_step=last, mark=Mark.SOLVED, text="solved"))
+        moments.append(StoryMomentView(env_step=last, mark=Mark.SOLVED, text="solved"))
     else:
         if course.stuck:
-            found.append(StoryMomentView(env_step=course.stuck, mark=Mark.STUCK, text=f"the {held} comes no nearer"))
-        found.append(
+            moments.append(StoryMomentView(env_step=course.stuck, mark=Mark.STUCK, text=f"the {held} comes no nearer"))
+        moments.append(
             StoryMomentView(env_step=last, mark=Mark.LIMIT, text=_ENDS.get(outcome, outcome.value.replace("_", " ")))
         )
-    return tuple(sorted(found, key=lambda moment: moment.env_step))
+    return tuple(sorted(moments, key=lambda moment: moment.env_step))

@@ -140,6 +140,6 @@ def _change(session: Session, lease: PlaybackLease, **values: Any) -> None:
 
 def _find_sensor(session: Session, episode: EpisodeResult) -> str | None:
     """Return the digest of the sensor of an episode; equal submissions have the same one."""
-    found = select(SubmissionFile.sha256).join(Submission, Submission.id == SubmissionFile.submission_id)
+    query = select(SubmissionFile.sha256).join(Submission, Submission.id == SubmissionFile.submission_id)
     of_episode = (Submission.digest == episode.submission_digest, Submission.track == episode.track)
-    return session.scalar(found.where(*of_episode, SubmissionFile.role == FileRole.SENSOR).limit(1))
+    return session.scalar(query.where(*of_episode, SubmissionFile.role == FileRole.SENSOR).limit(1))

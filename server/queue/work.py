@@ -245,11 +245,11 @@ def claim(
 
 def list_over_share(session: Session, settings: Settings) -> list[WorkKind]:
     """Return the kinds that have taken their share of the slots' time in the last minutes."""
-    shared = {kind: found for kind, found in KINDS.items() if found.share is not None}
+    shared = {kind: one for kind, one in KINDS.items() if one.share is not None}
     values = {
         "kinds": list(shared),
-        "shares": [found.share for found in shared.values()],
-        "limits": [found.limit_s or 0.0 for found in shared.values()],
+        "shares": [one.share for one in shared.values()],
+        "limits": [one.limit_s or 0.0 for one in shared.values()],
         "over": timedelta(seconds=SHARED_OVER_S),
         "lost_after": timedelta(seconds=settings.worker_lost_after_s),
     }

@@ -61,7 +61,7 @@ class Fleet:
     ) -> WorkersAlive:
         """Return those alive of one evaluator version, of one family, None: of any; or with a GPU alone."""
         wanted = find_evaluator(evaluator_version) if evaluator_version else None
-        found = [
+        matching = [
             group
             for group in self.groups
             if wanted in {None, group.evaluator_version}
@@ -69,8 +69,8 @@ class Fleet:
             and (group.has_gpu or not needs_gpu)
         ]
         return WorkersAlive(
-            alive=sum(group.alive for group in found),
-            slots=sum(group.slots for group in found),
+            alive=sum(group.alive for group in matching),
+            slots=sum(group.slots for group in matching),
             last_heartbeat_at=self.last_heartbeat_at,
         )
 
@@ -159,12 +159,12 @@ def sandboxes(session: Session, settings: Settings) -> Sequence[SandboxDescripti
     """Return what policies find on the workers that take shards, each once; without any, on the last one that did."""
     described = select(Worker.sandbox).where(Worker.sandbox.is_not(None)).order_by(Worker.heartbeat_at.desc())
     rows = session.scalars(described.where(is_alive(settings))).all() or session.scalars(described.limit(1)).all()
-    found = []
+    sandboxes_seen = []
     for row in rows:
         description = SandboxDescription.model_validate_json(json.dumps(row))
-        if description not in found:
-            found.append(description)
-    return found
+        if description not in sandboxes_seen:
+            sandboxes_seen.append(description)
+    return sandboxes_seen
 
 
 def list_workers(session: Session) -> Sequence[Worker]:
@@ -219,12 +219,12 @@ def give_order(session: Session, by: Principal, worker_id: UUID, order: WorkerOr
 
 def running_shards(session: Session) -> Mapping[UUID, Sequence[int]]:
     """Return the shards that run, by worker."""
-    found: dict[UUID, list[int]] = {}
+    shards: dict[UUID, list[int]] = {}
     running = select(Shard.worker_id, Shard.id).where(Shard.state == WorkState.RUNNING).order_by(Shard.id)
     for worker_id, shard_id in session.execute(running):
         if worker_id is not None:
-            found.setdefault(worker_id, []).append(shard_id)
-    return found
+            shards.setdefault(worker_id, []).append(shard_id)
+    return shards
 
 
 def worker_view(worker: Worker, settings: Settings, *, now: datetime, shards: Sequence[int]) -> WorkerView:

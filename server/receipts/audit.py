@@ -145,36 +145,36 @@ def audit(
     """
     with ExportReader.opened(path) as reader:
         described = reader.description
-        found = Audit(public_key=described.public_key)
+        result = Audit(public_key=described.public_key)
         if public_key is not None and described.public_key != public_key:
-            found.findings.append(f"Expected the key {public_key}, got {described.public_key}.")
-        listed = _read_entries(reader.entries(), found)
+            result.findings.append(f"Expected the key {public_key}, got {described.public_key}.")
+        listed = _read_entries(reader.entries(), result)
         tree, logged = make_tree([entry.leaf_hash for entry in listed]), {entry.number: entry for entry in listed}
-        found.findings += check_head(described, tree)
+        result.findings += check_head(described, tree)
         for receipt in held:
-            found.findings += check_held(tree, logged, receipt)
+            result.findings += check_held(tree, logged, receipt)
         for size, root in noted.items():
-            found.findings += check_noted(tree, size, root)
-        found.findings += check_order(listed)
-        found.findings += check_witnessed(described, tree, listed)
-        found.unusual += list_late(listed)
-        found.unknowable += _list_unknowable(described, tree, key=public_key, is_noted=bool(held or noted))
-        arrivals = {one.submission.submission: one for one in _signed(reader.submissions(), logged, found)}
-        receipts = {receipt.result.evaluation: receipt for receipt in _signed(reader.receipts(), logged, found)}
-        all_ends = _signed(reader.ends(), logged, found)
+            result.findings += check_noted(tree, size, root)
+        result.findings += check_order(listed)
+        result.findings += check_witnessed(described, tree, listed)
+        result.unusual += list_late(listed)
+        result.unknowable += _list_unknowable(described, tree, key=public_key, is_noted=bool(held or noted))
+        arrivals = {one.submission.submission: one for one in _signed(reader.submissions(), logged, result)}
+        receipts = {receipt.result.evaluation: receipt for receipt in _signed(reader.receipts(), logged, result)}
+        all_ends = _signed(reader.ends(), logged, result)
         ends = [receipt for receipt in all_ends if receipt.end.competition == described.competition]
-        _check_board(described, receipts, found)
-        found.findings += check_opened(described, logged, [*arrivals.values(), *receipts.values(), *all_ends])
-        found.findings += check_secret(described, [receipt.result for receipt in receipts.values()])
-        found.findings += check_end(described, ends)
+        _check_board(described, receipts, result)
+        result.findings += check_opened(described, logged, [*arrivals.values(), *receipts.values(), *all_ends])
+        result.findings += check_secret(described, [receipt.result for receipt in receipts.values()])
+        result.findings += check_end(described, ends)
         for is_wrong, sentence in check_winners(described, receipts.values()):
-            (found.findings if is_wrong else found.unchecked).append(sentence)
-        found.unusual += check_repeated_end(ends)
-        _check_results(described, arrivals, receipts, found)
-        with _find_track(reader, found):
-            logs = list(_check_logs(reader, receipts, found))
-            _resimulate(reader, logs, count=episodes, seed=seed, found=found, on_episode=on_episode)
-        return found
+            (result.findings if is_wrong else result.unchecked).append(sentence)
+        result.unusual += check_repeated_end(ends)
+        _check_results(described, arrivals, receipts, result)
+        with _find_track(reader, result):
+            logs = list(_check_logs(reader, receipts, result))
+            _resimulate(reader, logs, count=episodes, seed=seed, result=result, on_episode=on_episode)
+        return result
 
 
 def _list_unknowable(described: ExportDescription, tree: Tree, *, key: str | None, is_noted: bool) -> Iterator[str]:
@@ -188,66 +188,66 @@ def _list_unknowable(described: ExportDescription, tree: Tree, *, key: str | Non
         )
 
 
-def _read_entries(entries: Iterator[LogEntry], found: Audit) -> list[LogEntry]:
+def _read_entries(entries: Iterator[LogEntry], result: Audit) -> list[LogEntry]:
     """Return the entries of the log; report gaps and wrong order."""
     listed = list(entries)
     for number, entry in enumerate(listed, start=1):
         if entry.number != number:
-            found.findings.append(f"Expected entry {number} of the log, got {entry.number}.")
+            result.findings.append(f"Expected entry {number} of the log, got {entry.number}.")
             break
-    found.log_entries = len(listed)
+    result.log_entries = len(listed)
     return listed
 
 
-def _signed(receipts: Iterator[ReceiptT], logged: Mapping[int, LogEntry], found: Audit) -> list[ReceiptT]:
+def _signed(receipts: Iterator[ReceiptT], logged: Mapping[int, LogEntry], result: Audit) -> list[ReceiptT]:
     """Return the receipts that are whole and in the log; report the others."""
     good: list[ReceiptT] = []
     for receipt in receipts:
         try:
             receipt.require_content()
         except ReceiptRejected as error:
-            found.findings.append(str(error))
+            result.findings.append(str(error))
             continue
         if logged.get(receipt.entry.number) == receipt.entry:
             good.append(receipt)
         else:
-            found.findings.append(f"Receipt {receipt.entry.number} is not in the log.")
+            result.findings.append(f"Receipt {receipt.entry.number} is not in the log.")
     return good
 
 
-def _check_board(described: ExportDescription, receipts: Mapping[UUID, Receipt], found: Audit) -> None:
+def _check_board(described: ExportDescription, receipts: Mapping[UUID, Receipt], result: Audit) -> None:
     board = described.board
-    found.entries = len(board.entries)
+    result.entries = len(board.entries)
     for entry in board.entries:
         receipt = receipts.get(entry.evaluation_id)
         if receipt is None:
-            found.findings.append(f"{entry.team}: there is no receipt of evaluation {entry.evaluation_id}.")
+            result.findings.append(f"{entry.team}: there is no receipt of evaluation {entry.evaluation_id}.")
             continue
         differences = _differences(described, entry, receipt.result)
-        found.findings += [f"{entry.team}: {difference}" for difference in differences]
+        result.findings += [f"{entry.team}: {difference}" for difference in differences]
     ranked = [entry for entry in board.entries if entry.rank is not None]
     if [entry.rank for entry in ranked] != list(range(1, len(ranked) + 1)):
-        found.findings.append("The ranks of the board do not count from 1.")
+        result.findings.append("The ranks of the board do not count from 1.")
     if ranked != sorted(ranked, key=lambda entry: place(board, entry)):
-        found.findings.append("The order of the board is not that of its scores.")
+        result.findings.append("The order of the board is not that of its scores.")
 
 
 def _check_results(
     described: ExportDescription,
     arrivals: Mapping[UUID, SubmissionReceipt],
     receipts: Mapping[UUID, Receipt],
-    found: Audit,
+    result: Audit,
 ) -> None:
     """Report results without their submission, of other teams, or missing on the board."""
-    found.findings += check_arrivals(described, arrivals)
+    result.findings += check_arrivals(described, arrivals)
     for is_wrong, sentence in check_submissions(arrivals, receipts.values()):
-        (found.findings if is_wrong else found.unusual).append(sentence)
+        (result.findings if is_wrong else result.unusual).append(sentence)
     for is_wrong, sentence in (*check_teams(described, receipts), *check_entries(described, receipts)):
-        (found.findings if is_wrong else found.unchecked).append(sentence)
+        (result.findings if is_wrong else result.unchecked).append(sentence)
 
 
 @contextmanager
-def _find_track(reader: ExportReader, found: Audit) -> Iterator[None]:
+def _find_track(reader: ExportReader, result: Audit) -> Iterator[None]:
     """Know the board's track while the block runs, also where its file is in the export and not on this machine."""
     name = reader.description.board.track
     content = reader.track_file(name)
@@ -261,7 +261,7 @@ def _find_track(reader: ExportReader, found: Audit) -> Iterator[None]:
         try:
             yield
         except VitacError as error:
-            found.findings.append(f"The file of track {name} in the export cannot be used. {error}")
+            result.findings.append(f"The file of track {name} in the export cannot be used. {error}")
         finally:
             if before is None:
                 del os.environ[TRACKS_FOLDER_VARIABLE]
@@ -297,7 +297,7 @@ def _differences(described: ExportDescription, entry: LeaderboardEntryView, resu
             yield f"{name} is {on_board} on the board, {in_receipt} in the receipt."
 
 
-def _check_logs(reader: ExportReader, receipts: Mapping[UUID, Receipt], found: Audit) -> Iterator[_Log]:
+def _check_logs(reader: ExportReader, receipts: Mapping[UUID, Receipt], result: Audit) -> Iterator[_Log]:
     """Yield the logs whose records have the result hash and the score of the receipt."""
     described = reader.description
     for entry in described.board.entries:
@@ -305,35 +305,35 @@ def _check_logs(reader: ExportReader, receipts: Mapping[UUID, Receipt], found: A
         verified = 0
         for task in receipt.result.tasks if receipt else ():
             if receipt is None or not reader.has_log(entry.evaluation_id, task.task):
-                found.unchecked.append(f"{entry.team}, {task.task}: the records are not in the export.")
+                result.unchecked.append(f"{entry.team}, {task.task}: the records are not in the export.")
             elif receipt.result.evaluator_version != find_version(receipt.result.track):
-                found.unchecked.append(
+                result.unchecked.append(
                     f"{entry.team}, {task.task}: made by evaluator {receipt.result.evaluator_version}, this is "
                     f"{find_version(receipt.result.track)}."
                 )
             else:
-                log = _checked_log(reader, receipt.result, task, entry.team, found)
+                log = _checked_log(reader, receipt.result, task, entry.team, result)
                 if log is not None:
-                    found.logs += 1
+                    result.logs += 1
                     verified += 1
                     yield log
         if entry.rank is not None and (receipt is None or verified < len(receipt.result.tasks)):
-            found.unverified.append(entry.team)
+            result.unverified.append(entry.team)
 
 
-def _checked_log(reader: ExportReader, result: Result, task: TaskResult, team: str, found: Audit) -> _Log | None:
+def _checked_log(reader: ExportReader, result: Result, task: TaskResult, team: str, outcome: Audit) -> _Log | None:
     track = _track(reader.description, result)
     if track is None:
-        found.unchecked.append(f"{team}, {task.task}: the secret of its sealed list is not published.")
+        outcome.unchecked.append(f"{team}, {task.task}: the secret of its sealed list is not published.")
         return None
     try:
         header, records = _read(reader, result.evaluation, task.task)
     except LogRejected as error:
-        found.findings.append(f"{team}, {task.task}: the records cannot be read. {error}")
+        outcome.findings.append(f"{team}, {task.task}: the records cannot be read. {error}")
         return None
     wrong = _wrong_records(track, header, records, task)
     if wrong:
-        found.findings.append(f"{team}, {task.task}: {wrong}")
+        outcome.findings.append(f"{team}, {task.task}: {wrong}")
         return None
     numbers = [record.episode for record in records]
     return _Log(evaluation=result.evaluation, track=track, task=task.task, header=header, episodes=numbers)
@@ -360,7 +360,7 @@ def _resimulate(
     *,
     count: int,
     seed: int,
-    found: Audit,
+    result: Audit,
     on_episode: Callable[[SampledEpisode], None],
 ) -> None:
     """Run a sample of all episodes through the physics again, and report those that give other states."""
@@ -369,52 +369,54 @@ def _resimulate(
     for log in logs:
         numbers = {everything[index][1] for index in chosen if everything[index][0] is log}
         if numbers:
-            _resimulate_log(reader, log, numbers, found, on_episode)
+            _resimulate_log(reader, log, numbers, result, on_episode)
 
 
 def _resimulate_log(
     reader: ExportReader,
     log: _Log,
     numbers: Collection[int],
-    found: Audit,
+    result: Audit,
     on_episode: Callable[[SampledEpisode], None],
 ) -> None:
     _, records = _read(reader, log.evaluation, log.task)
     task = log.track.tasks[log.task]
-    env = _environment(reader, log, found)
+    env = _environment(reader, log, result)
     if env is None:
         return
     for record in (record for record in records if record.episode in numbers):
         sampled = SampledEpisode(evaluation=log.evaluation, task=log.task, episode=record.episode)
         checked = check_episode(env, task, record)
         if checked.finding:
-            found.findings.append(
+            result.findings.append(
                 f"Evaluation {log.evaluation}, {log.task}, episode {record.episode}: {checked.finding.reason}"
             )
-        found.resimulated.append(sampled)
+        result.resimulated.append(sampled)
         on_episode(sampled)
 
 
-def _environment(reader: ExportReader, log: _Log, found: Audit) -> Environment | None:
-    """Return what a log was played in; None, with the reason in `found`, where it is another one or not here."""
+def _environment(reader: ExportReader, log: _Log, result: Audit) -> Environment | None:
+    """Return what a log was played in; None, with the reason in `result`, where it is another one or not here."""
     place = f"Evaluation {log.evaluation}, {log.task}"
     has_sensor = log.track.has_sensor
     if has_sensor and not reader.has_sensor(log.evaluation):
-        found.unchecked.append(f"{place}: its episodes are not run again, because the export does not hold its sensor.")
+        result.unchecked.append(
+            f"{place}: its episodes are not run again, because the export does not hold its sensor."
+        )
         return None
     try:
         sensor = read_made_sensor(reader.sensor(log.evaluation)).design() if has_sensor else None
     except (VitacError, IndexError, ValueError) as error:
-        found.findings.append(f"{place}: the sensor cannot be used. {error}")
+        result.findings.append(f"{place}: the sensor cannot be used. {error}")
         return None
     try:
         env = make_environment(log.track.tasks[log.task], None, (), sensor=sensor)
     except VitacError as error:
-        found.unchecked.append(f"{place}: its episodes cannot be run again here. {error}")
+        result.unchecked.append(f"{place}: its episodes cannot be run again here. {error}")
         return None
     if env.mesh_hash() != log.header.manifest.mesh_hash:
         what = "the sensor in the export is not the one that was" if sensor else "other meshes than these were"
-        found.findings.append(f"{place}: {what} played with.")
+        result.findings.append(f"{place}: {what} played with.")
         return None
     return env
 

@@ -51,8 +51,8 @@ def check_noted(tree: Tree, size: int, root: str) -> Iterator[str]:
     """Yield a finding where the log no longer begins with the entries of a root, which somebody noted."""
     if size > tree.size:
         yield f"Expected at least {size} entries with the noted root {root}, got {tree.size}: the log ends before."
-    elif (found := tree.root(size).hex()) != root:
-        yield f"Expected the noted root {root} over the first {size} entries, got {found}: the log was rewritten."
+    elif (root_here := tree.root(size).hex()) != root:
+        yield f"Expected the noted root {root} over the first {size} entries, got {root_here}: the log was rewritten."
 
 
 def check_held(tree: Tree, entries: Mapping[int, LogEntry], receipt: SignedContent[Any]) -> Iterator[str]:
@@ -354,14 +354,14 @@ def _copies_another_teams(described: ExportDescription, receipts: Mapping[UUID, 
 
 def _hashes(described: ExportDescription, result: Result) -> list[str]:
     task = described.board.task
-    return [found.result_hash for found in result.tasks if task in {None, found.task}]
+    return [one.result_hash for one in result.tasks if task in {None, one.task}]
 
 
 def reached(task: str | None, result: Result) -> TaskResult | CombinedResult | None:
     """Return what a board compares of a result; None where it is on no such board."""
     if task is None:
         return result.combined
-    return next((found for found in result.tasks if found.task == task), None)
+    return next((one for one in result.tasks if one.task == task), None)
 
 
 def place(board: LeaderboardView, entry: LeaderboardEntryView) -> tuple[float, ...]:

@@ -79,7 +79,7 @@ def receipts_of_board(session: Session, stage: Stage, kind: SubmissionKind) -> S
     board = board_name(stage.competition, stage.track, stage.name, kind)
     submission_id = func.coalesce(ReceiptRow.submission_id, Evaluation.submission_id)
     chosen = select(Submission.final_of).where(stage.submissions, Submission.final_of.is_not(None))
-    found = _receipts(
+    receipts = _receipts(
         session,
         select(ReceiptRow)
         .outerjoin(Evaluation, Evaluation.id == ReceiptRow.evaluation_id)
@@ -92,26 +92,26 @@ def receipts_of_board(session: Session, stage: Stage, kind: SubmissionKind) -> S
             )
         ),
     )
-    return [receipt for receipt in found if not isinstance(receipt, EndReceipt)]
+    return [receipt for receipt in receipts if not isinstance(receipt, EndReceipt)]
 
 
 def receipts_of_submission(session: Session, submission_id: UUID) -> Sequence[Receipt]:
     """Return the receipts of a submission's results, the first one first."""
     of_results = ReceiptRow.evaluation_id.in_(select(Evaluation.id).where(Evaluation.submission_id == submission_id))
-    found = _receipts(session, select(ReceiptRow).where(of_results))
-    return [receipt for receipt in found if isinstance(receipt, Receipt)]
+    receipts = _receipts(session, select(ReceiptRow).where(of_results))
+    return [receipt for receipt in receipts if isinstance(receipt, Receipt)]
 
 
 def receipt_of_arrival(session: Session, submission_id: UUID) -> SubmissionReceipt | None:
     """Return the receipt that a submission got when it arrived; None where it got none."""
-    found = _receipts(session, select(ReceiptRow).where(ReceiptRow.submission_id == submission_id))
-    return next((receipt for receipt in found if isinstance(receipt, SubmissionReceipt)), None)
+    receipts = _receipts(session, select(ReceiptRow).where(ReceiptRow.submission_id == submission_id))
+    return next((receipt for receipt in receipts if isinstance(receipt, SubmissionReceipt)), None)
 
 
 def receipts_of_ends(session: Session) -> Sequence[EndReceipt]:
     """Return the receipts of the competition's end, one for each time that its winners were decided."""
-    found = _receipts(session, select(ReceiptRow).where(ReceiptRow.stands_for == EntryKind.END))
-    return [receipt for receipt in found if isinstance(receipt, EndReceipt)]
+    receipts = _receipts(session, select(ReceiptRow).where(ReceiptRow.stands_for == EntryKind.END))
+    return [receipt for receipt in receipts if isinstance(receipt, EndReceipt)]
 
 
 def new_salt() -> str:

@@ -62,26 +62,26 @@ def audit_log(
     Raises:
         TileMissing: a file is not there.
     """
-    found = LogAudit(key=str(log.key), size=log.checkpoint.size, root=log.checkpoint.root.hex())
-    entries = _read_entries(log, found)
+    result = LogAudit(key=str(log.key), size=log.checkpoint.size, root=log.checkpoint.root.hex())
+    entries = _read_entries(log, result)
     if entries is None:
-        return found
-    found.entries = dict(Counter(entry.content.value for entry in entries))
+        return result
+    result.entries = dict(Counter(entry.content.value for entry in entries))
     tree = make_tree([entry.leaf_hash for entry in entries])
     for checkpoint in checkpoints:
-        found.findings += _check_stored(log.key, tree, checkpoint)
+        result.findings += _check_stored(log.key, tree, checkpoint)
     for size, root in roots.items():
-        found.findings += check_noted(tree, size, root)
+        result.findings += check_noted(tree, size, root)
     by_number = {entry.number: entry for entry in entries}
     for receipt in held:
-        found.findings += _check_receipt(log.key, tree, by_number, receipt)
-    found.findings += check_order(entries)
-    found.findings += _check_secrets(entries)
-    found.unusual += [*list_unusual(entries), *list_late(entries)]
-    found.winners = list(_list_winners(entries))
-    demanded = _find_witnesses(log, tree, entries, found)
-    found.doubts += _list_doubts(found, entries, held, demanded)
-    return found
+        result.findings += _check_receipt(log.key, tree, by_number, receipt)
+    result.findings += check_order(entries)
+    result.findings += _check_secrets(entries)
+    result.unusual += [*list_unusual(entries), *list_late(entries)]
+    result.winners = list(_list_winners(entries))
+    demanded = _find_witnesses(log, tree, entries, result)
+    result.doubts += _list_doubts(result, entries, held, demanded)
+    return result
 
 
 def compare(first: Checkpoint, second: Checkpoint, key: VerifierKey, log: PublishedLog | None = None) -> Iterator[str]:
@@ -162,8 +162,8 @@ def _list_winners(entries: Sequence[LogEntry]) -> Iterator[str]:
             )
 
 
-def _read_entries(log: PublishedLog, found: LogAudit) -> list[LogEntry] | None:
-    """Return all entries; None, with the reason in `found`, where the files are not those of the checkpoint."""
+def _read_entries(log: PublishedLog, result: LogAudit) -> list[LogEntry] | None:
+    """Return all entries; None, with the reason in `result`, where the files are not those of the checkpoint."""
     entries = []
     try:
         for number, content in enumerate(log.entries(), start=1):
@@ -172,13 +172,13 @@ def _read_entries(log: PublishedLog, found: LogAudit) -> list[LogEntry] | None:
                 raise ProofRejected(f"Entry {number} is written as entry {entry.number}, or in another form.")
             entries.append(entry)
     except ProofRejected as error:
-        found.findings.append(str(error))
+        result.findings.append(str(error))
     except ValidationError:
-        found.findings.append(f"Entry {len(entries) + 1} does not have the form of one.")
+        result.findings.append(f"Entry {len(entries) + 1} does not have the form of one.")
     else:
         tree = make_tree([entry.leaf_hash for entry in entries])
-        found.findings += _check_tiles(log, tree)
-    return None if found.findings else entries
+        result.findings += _check_tiles(log, tree)
+    return None if result.findings else entries
 
 
 def _check_tiles(log: PublishedLog, tree: Tree) -> Iterator[str]:
@@ -232,7 +232,7 @@ def _check_secrets(entries: Sequence[LogEntry]) -> Iterator[str]:
         sealed.add((entry.board, commitment))
 
 
-def _find_witnesses(log: PublishedLog, tree: Tree, entries: Sequence[LogEntry], found: LogAudit) -> int:
+def _find_witnesses(log: PublishedLog, tree: Tree, entries: Sequence[LogEntry], result: LogAudit) -> int:
     """Write how far each named witness has come, and return how many of them a stage demands at most."""
     files: dict[str, Mapping[str, Any]] = {
         entry.board: (entry.statement or {}).get("definition", {})
@@ -240,11 +240,11 @@ def _find_witnesses(log: PublishedLog, tree: Tree, entries: Sequence[LogEntry], 
         if entry.content is EntryKind.COMPETITION
     }
     keys = [VerifierKey.parse(key) for definition in files.values() for key in definition.get("witnesses", ())]
-    found.witnesses = dict.fromkeys((key.name for key in keys), 0)
+    result.witnesses = dict.fromkeys((key.name for key in keys), 0)
     for checkpoint in (log.checkpoint, *log.read_witnessed()):
         for key, _ in checkpoint.find_witnesses(keys):
-            found.findings += check_noted(tree, checkpoint.size, checkpoint.root.hex())
-            found.witnesses[key.name] = max(found.witnesses[key.name], checkpoint.size)
+            result.findings += check_noted(tree, checkpoint.size, checkpoint.root.hex())
+            result.witnesses[key.name] = max(result.witnesses[key.name], checkpoint.size)
     return max(
         (
             stage.get("witnesses", 0)
@@ -257,9 +257,9 @@ def _find_witnesses(log: PublishedLog, tree: Tree, entries: Sequence[LogEntry], 
 
 
 def _list_doubts(
-    found: LogAudit, entries: Sequence[LogEntry], held: Sequence[AnyReceipt], demanded: int
+    result: LogAudit, entries: Sequence[LogEntry], held: Sequence[AnyReceipt], demanded: int
 ) -> Iterator[str]:
-    sizes = sorted(found.witnesses.values(), reverse=True)
+    sizes = sorted(result.witnesses.values(), reverse=True)
     witnessed = sizes[max(demanded, 1) - 1] if len(sizes) >= max(demanded, 1) else 0
     if not witnessed:
         yield (
@@ -267,7 +267,7 @@ def _list_doubts(
             "organizers could show others another one. Compare checkpoints with other teams: `vitac receipt compare`."
         )
     else:
-        if witnessed < found.size:
+        if witnessed < result.size:
             yield (
                 f"Whether everybody sees the entries after {witnessed}: too few witnesses have signed them so far. Run "
                 "the audit again later."
@@ -294,5 +294,5 @@ def _list_doubts(
             yield f"What the sealed list of {place} holds: its secret is not published yet."
         yield f"Who knew the sealed list of {place} before: the organizers did, and the log cannot show whom they told."
     yield "Whether an upload that got no receipt was refused rightly: only what arrived is in the log."
-    if EntryKind.END in found.entries:
+    if EntryKind.END in result.entries:
         yield "Whether judges marked fairly, and whether two teams are the same people: no log shows that."

@@ -248,13 +248,13 @@ class SignedContent(StrictModel, Generic[ContentT]):
 
     def find_witnesses(self, keys: Iterable[VerifierKey]) -> dict[VerifierKey, datetime]:
         """Return which of some witnesses have signed a log that holds it, and when first."""
-        found: dict[VerifierKey, datetime] = {}
+        by_witness: dict[VerifierKey, datetime] = {}
         for proof in self.parsed_proofs():
             for key, signed_at in proof.checkpoint.find_witnesses(keys):
-                found[key] = min(
-                    datetime.fromtimestamp(signed_at, UTC), found.get(key, datetime.max.replace(tzinfo=UTC))
+                by_witness[key] = min(
+                    datetime.fromtimestamp(signed_at, UTC), by_witness.get(key, datetime.max.replace(tzinfo=UTC))
                 )
-        return found
+        return by_witness
 
 
 class SubmissionReceipt(SignedContent[Arrival]):

@@ -183,8 +183,8 @@ def is_disk_full(error: BaseException) -> bool:
         return True
     if isinstance(error, DBAPIError):
         return getattr(error.orig, "sqlstate", None) == _SQLSTATE
-    found = _IN_TEXT.search(str(error))
-    if found is not None and int(found[1]) in _ERRORS:
+    match = _IN_TEXT.search(str(error))
+    if match is not None and int(match[1]) in _ERRORS:
         return True
     return error.__cause__ is not None and is_disk_full(error.__cause__)
 

@@ -99,10 +99,10 @@ def withdraw(session: Session, by: Principal, appeal_id: int) -> None:
     Raises:
         ServiceError: there is no such appeal, or it is ruled on.
     """
-    found = find(session, by, appeal_id)
-    if not by.may_change(found.team_id, found.evaluation.submission.competition):
+    appeal = find(session, by, appeal_id)
+    if not by.may_change(appeal.team_id, appeal.evaluation.submission.competition):
         raise ServiceError(ProblemCode.FORBIDDEN, "A judge reads appeals only; ask an organizer.")
-    _end(session, by, found, AppealState.WITHDRAWN, None)
+    _end(session, by, appeal, AppealState.WITHDRAWN, None)
 
 
 def rule(session: Session, by: Principal, appeal_id: int, ruling: str, *, upheld: bool) -> Appeal:
@@ -112,10 +112,10 @@ def rule(session: Session, by: Principal, appeal_id: int, ruling: str, *, upheld
         ServiceError: not an organizer, there is no such appeal, it is decided already, or the text cannot be shown.
     """
     by.require_organizer(by.competition)
-    found = find(session, by, appeal_id)
+    appeal = find(session, by, appeal_id)
     kept = clean_text(ruling, what="A ruling")
-    _end(session, by, found, AppealState.UPHELD if upheld else AppealState.REJECTED, kept)
-    return found
+    _end(session, by, appeal, AppealState.UPHELD if upheld else AppealState.REJECTED, kept)
+    return appeal
 
 
 def open_in_competition(session: Session, competition: Competition) -> list[Appeal]:
@@ -132,8 +132,8 @@ def end_with_competition(session: Session, by: Principal, competition: Competiti
         ServiceError: not an organizer.
     """
     by.require_organizer(competition.name)
-    for found in open_in_competition(session, competition):
-        _end(session, by, found, AppealState.REJECTED, _NO_RULING)
+    for appeal in open_in_competition(session, competition):
+        _end(session, by, appeal, AppealState.REJECTED, _NO_RULING)
 
 
 def require_episode(session: Session, evaluation: Evaluation, task: str | None, episode: int | None) -> EpisodeResult:
@@ -144,14 +144,14 @@ def require_episode(session: Session, evaluation: Evaluation, task: str | None, 
     """
     if task is None or episode is None:
         raise ServiceError(ProblemCode.INVALID_REQUEST, "Give both a task and an episode of it, or neither.")
-    found = None
+    result = None
     if task.isprintable() and 0 < episode <= _MAX_EPISODE:
         key = EpisodeKey.from_evaluation(evaluation, evaluation.submission)
         wanted = EpisodeResult.task == task, EpisodeResult.episode == episode
-        found = session.scalar(select(EpisodeResult).where(*key.conditions(), *wanted))
-    if found is None:
+        result = session.scalar(select(EpisodeResult).where(*key.conditions(), *wanted))
+    if result is None:
         raise not_found("stored episode", f"{episode} of {task!r} of this evaluation")
-    return found
+    return result
 
 
 def find(session: Session, by: Principal, appeal_id: int) -> Appeal:
@@ -160,10 +160,10 @@ def find(session: Session, by: Principal, appeal_id: int) -> Appeal:
     Raises:
         ServiceError: there is none that the principal may see.
     """
-    found = session.get(Appeal, appeal_id, with_for_update={"of": Appeal}, populate_existing=True)
-    if found is None or not by.may_see(found.team_id, found.evaluation.submission.competition):
+    appeal = session.get(Appeal, appeal_id, with_for_update={"of": Appeal}, populate_existing=True)
+    if appeal is None or not by.may_see(appeal.team_id, appeal.evaluation.submission.competition):
         raise not_found("appeal", appeal_id)
-    return found
+    return appeal
 
 
 def visible(

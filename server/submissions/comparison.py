@@ -91,25 +91,25 @@ def _read_side(session: Session, settings: Settings, by: Principal, submission_i
         if hidden is None or entry is None:
             raise
         return ComparedResult(view=_view_of_entry(entry, hidden.track))
-    found = listing.get(session, settings, by, submission.id)
-    return make_side(found, listing.list_episodes(session, by, newest_evaluation(session, submission)))
+    view = listing.get(session, settings, by, submission.id)
+    return make_side(view, listing.list_episodes(session, by, newest_evaluation(session, submission)))
 
 
-def make_side(found: SubmissionView, episodes: Sequence[EpisodeView]) -> ComparedResult:
+def make_side(submission: SubmissionView, episodes: Sequence[EpisodeView]) -> ComparedResult:
     """Return a submission that the reader may see."""
     view = ComparedResultView(
-        submission_id=found.id,
-        submission_name=found.name,
-        team=found.team.name,
-        track=found.track,
-        submitted_at=found.submitted_at,
-        evaluator_version=found.evaluation.evaluator_version,
-        played=found.evaluation.played,
-        scores=found.evaluation.scores,
+        submission_id=submission.id,
+        submission_name=submission.name,
+        team=submission.team.name,
+        track=submission.track,
+        submitted_at=submission.submitted_at,
+        evaluator_version=submission.evaluation.evaluator_version,
+        played=submission.evaluation.played,
+        scores=submission.evaluation.scores,
         has_page=True,
         episodes=len(episodes),
     )
-    return ComparedResult(view=view, episodes=episodes, commitment=found.evaluation.commitment)
+    return ComparedResult(view=view, episodes=episodes, commitment=submission.evaluation.commitment)
 
 
 def _find_entry(session: Session, by: Principal, submission: Submission) -> LeaderboardEntryView | None:
@@ -124,9 +124,9 @@ def _find_entry(session: Session, by: Principal, submission: Submission) -> Lead
                 stage=submission.stage or None,
                 competition=submission.competition or None,
             ).view
-            found = next((entry for entry in board.entries if entry.submission_id == submission.id), None)
-            if found is not None:
-                return found
+            own = next((entry for entry in board.entries if entry.submission_id == submission.id), None)
+            if own is not None:
+                return own
     return None
 
 
@@ -176,8 +176,8 @@ def _rate_among(side: ComparedResult, task: str, quarters: Mapping[int, int], qu
     ends = [end for end in side.episodes if end.task == task and quarters.get(end.episode) == quarter]
     if not ends:
         return None
-    found = rate_by_start((find_start(end), end.success) for end in ends)
-    return RateView.from_row(found, success_rate_interval=(found.interval.low, found.interval.high))
+    counted = rate_by_start((find_start(end), end.success) for end in ends)
+    return RateView.from_row(counted, success_rate_interval=(counted.interval.low, counted.interval.high))
 
 
 @cache
@@ -187,15 +187,15 @@ def quarters_of_starts(track: str, task: str) -> Mapping[int, int]:
     The distance is that of the offset, each component relative to the largest in the list. Empty for tasks whose starts
     are no offsets.
     """
-    found = known_task(track, task)
-    if found is None or find_family(track, task) is not Family.TACTILE:
+    definition = known_task(track, task)
+    if definition is None or find_family(track, task) is not Family.TACTILE:
         return {}
-    starts = {episode.offset for episode in found.episodes}
+    starts = {episode.offset for episode in definition.episodes}
     largest = [max(abs(start[place]) for start in starts) or 1.0 for place in range(len(next(iter(starts))))]
     distances = {start: hypot(*(value / most for value, most in zip(start, largest, strict=True))) for start in starts}
     ordered = sorted(starts, key=lambda start: (distances[start], start))
     quarter = {start: len(QUARTERS) * place // len(ordered) for place, start in enumerate(ordered)}
-    return {episode.number: quarter[episode.offset] for episode in found.episodes}
+    return {episode.number: quarter[episode.offset] for episode in definition.episodes}
 
 
 def _pairs(sides: Sequence[ComparedResult]) -> Iterator[ComparedPairView]:

@@ -174,7 +174,7 @@ def _find_or_add(session: Session, owner: Team, upload: CheckedUpload, stage: St
         )
         .returning(Submission.id)
     )
-    found = session.scalars(
+    existing = session.scalars(
         select(Submission)
         .where(
             Submission.team_id == owner.id,
@@ -185,4 +185,4 @@ def _find_or_add(session: Session, owner: Team, upload: CheckedUpload, stage: St
         )
         .with_for_update(key_share=True)
     ).one()
-    return found, added is not None
+    return existing, added is not None

@@ -78,8 +78,8 @@ def stored_digests(connection: Connection | Session) -> list[str]:
         .join(Submission.team)
         .where(is_kept)
     )
-    found = union(uploads, others).subquery()
-    return sorted(connection.scalars(select(found.c[0])))
+    digests = union(uploads, others).subquery()
+    return sorted(connection.scalars(select(digests.c[0])))
 
 
 PAGE_EPISODES = 20
@@ -178,10 +178,10 @@ def receipt_of_arrival(session: Session, by: Principal, submission_id: UUID) -> 
     Raises:
         ServiceError: there is no such submission, or it got none.
     """
-    found = issuing.receipt_of_arrival(session, visible(session, by, submission_id).id)
-    if found is None:
+    receipt = issuing.receipt_of_arrival(session, visible(session, by, submission_id).id)
+    if receipt is None:
         raise ServiceError(ProblemCode.NOT_FOUND, f"Submission {submission_id} has no receipt of its arrival.")
-    return found
+    return receipt
 
 
 def newest_receipt(session: Session, by: Principal, submission_id: UUID) -> Receipt:
@@ -190,10 +190,10 @@ def newest_receipt(session: Session, by: Principal, submission_id: UUID) -> Rece
     Raises:
         ServiceError: there is no such submission, or it has no result.
     """
-    found = receipts(session, by, submission_id)
-    if not found:
+    listed = receipts(session, by, submission_id)
+    if not listed:
         raise ServiceError(ProblemCode.NOT_FOUND, f"Submission {submission_id} has no final result, so no receipt.")
-    return found[-1]
+    return listed[-1]
 
 
 def log_view(session: Session, *, after: int, limit: int, competition: str | None = None) -> PublicLogView:
@@ -209,9 +209,9 @@ def log_view(session: Session, *, after: int, limit: int, competition: str | Non
         ServiceError: there is no such competition.
     """
     name = None if competition is None else Competition.find(session, competition).name
-    found = issuing.list_entries(session, after=after, limit=limit + 1, competition=name)
-    items = [PublicLogEntryView(**entry.model_dump(), leaf_hash=entry.leaf_hash.hex()) for entry in found[:limit]]
-    is_end = not items or len(found) <= limit
+    entries = issuing.list_entries(session, after=after, limit=limit + 1, competition=name)
+    items = [PublicLogEntryView(**entry.model_dump(), leaf_hash=entry.leaf_hash.hex()) for entry in entries[:limit]]
+    is_end = not items or len(entries) <= limit
     return PublicLogView(
         **asdict(read_log_state(session)),
         witnesses=list_witness_views(session),

@@ -161,16 +161,16 @@ def check_file_name(name: str | None, *, team: str, stage: Stage | None = None) 
     Raises:
         ServiceError: file_name_mismatch.
     """
-    found = _FORM.fullmatch(name[:MAX_CHARACTERS]) if name is not None else None
-    if found is None:
+    match = _FORM.fullmatch(name[:MAX_CHARACTERS]) if name is not None else None
+    if match is None:
         return
-    _require(name, "team", found["team"], team, agrees=_folded(found["team"]) == _folded(team))
+    _require(name, "team", match["team"], team, agrees=_folded(match["team"]) == _folded(team))
     if stage is None:
         return
-    named, folder = f"Track_{found['track']}", load_track(stage.track).folder
+    named, folder = f"Track_{match['track']}", load_track(stage.track).folder
     _require(name, "track", named, folder, agrees=named.casefold() == folder.casefold())
     if not stage.is_practice:
-        _require(name, "stage", found["stage"], stage.name, agrees=found["stage"].casefold() == stage.name.casefold())
+        _require(name, "stage", match["stage"], stage.name, agrees=match["stage"].casefold() == stage.name.casefold())
 
 
 def _require(name: str | None, what: str, named: str, expected: str, *, agrees: bool) -> None:

@@ -70,10 +70,10 @@ def list_submissions(
     if before is not None:
         last = visible(session, by, before)
         query = query.where(tuple_(Submission.submitted_at, Submission.id) < tuple_(last.submitted_at, last.id))
-    found = session.scalars(query.order_by(Submission.submitted_at.desc(), Submission.id.desc()).limit(limit + 1)).all()
+    rows = session.scalars(query.order_by(Submission.submitted_at.desc(), Submission.id.desc()).limit(limit + 1)).all()
     return SubmissionListView(
-        items=submission_views(session, settings, histories(session, found[:limit]), by),
-        next_before=found[limit - 1].id if len(found) > limit else None,
+        items=submission_views(session, settings, histories(session, rows[:limit]), by),
+        next_before=rows[limit - 1].id if len(rows) > limit else None,
     )
 
 

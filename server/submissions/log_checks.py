@@ -77,15 +77,15 @@ def rejected(message: str, reason: str, line: int | None) -> ServiceError:
     return ServiceError(ProblemCode.LOG_REJECTED, message, reason=str(reason), line=line)
 
 
-def impossible(found: Impossibility, line: int | None) -> ServiceError:
+def impossible(impossibility: Impossibility, line: int | None) -> ServiceError:
     """Return the refusal of a log that no evaluation can have made."""
     place = f"Line {line}: " if line else ""
     return ServiceError(
         ProblemCode.LOG_IMPOSSIBLE,
-        f"{place}{found.message}",
-        reason=found.reason.value,
+        f"{place}{impossibility.message}",
+        reason=impossibility.reason.value,
         line=line,
-        episode=found.episode,
+        episode=impossibility.episode,
     )
 
 
@@ -93,9 +93,9 @@ def _make_claim(reader: LogReader) -> LogClaim:
     track, task = _track_and_task(reader.header.manifest)
     kept: list[EpisodeRecord] = []
     records = _keeping(kept, reader.records())
-    found = explain_impossible(known_without_running(track, task), task, reader.header, records)
-    if found:
-        raise impossible(found, reader.line)
+    impossibility = explain_impossible(known_without_running(track, task), task, reader.header, records)
+    if impossibility:
+        raise impossible(impossibility, reader.line)
     return LogClaim.from_log(reader.header, kept)
 
 
@@ -175,10 +175,14 @@ def _find_task(script: Script) -> tuple[str, Task]:
 def _require_whole(log: TextLog, script: Script, task: Task) -> None:
     if log.misplaced:
         raise rejected(f"L{log.problems[0].removeprefix('l')}.", OUT_OF_PLACE, log.misplaced[0])
-    found = explain_not_resimulated(log, script, task)
-    if found:
-        line = log.episodes[found.episode - 1].line if found.episode and found.episode <= len(log.episodes) else None
-        raise impossible(found, line)
+    impossibility = explain_not_resimulated(log, script, task)
+    if impossibility:
+        line = (
+            log.episodes[impossibility.episode - 1].line
+            if impossibility.episode and impossibility.episode <= len(log.episodes)
+            else None
+        )
+        raise impossible(impossibility, line)
     if not log.has_totals:
         raise rejected("The log ends before its totals; it was cut off.", TRUNCATED, None)
 

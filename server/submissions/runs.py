@@ -133,8 +133,8 @@ def _cancel(session: Session, by: Principal, evaluation_id: UUID) -> None:
 def _name_rejudgement(session: Session, submission: Submission) -> str:
     """Return which evaluation of a rejudgement is active, for a message; empty where none is."""
     proposed = all_runs(submission).where(Evaluation.is_proposed, Evaluation.state.in_(ACTIVE_EVALUATION_STATES))
-    found = session.scalars(proposed.limit(1)).first()
-    return f" for rejudgement {found.rejudgement_id} (evaluation {found.id})" if found else ""
+    proposal = session.scalars(proposed.limit(1)).first()
+    return f" for rejudgement {proposal.rejudgement_id} (evaluation {proposal.id})" if proposal else ""
 
 
 def _can_continue(evaluation: Evaluation) -> bool:

@@ -73,8 +73,8 @@ def is_measured_by(lease: Lease) -> bool:
 def has_part(session: Session, lease: Lease) -> bool:
     """Return whether the part of a shard is stored."""
     parts = _parts(lease.submission_id, lease.evaluator_version, lease.commitment)
-    found = select(SubmissionFile.sha256).where(*parts, SubmissionFile.facts["shard"].as_integer() == lease.number)
-    return session.scalar(found.limit(1)) is not None
+    query = select(SubmissionFile.sha256).where(*parts, SubmissionFile.facts["shard"].as_integer() == lease.number)
+    return session.scalar(query.limit(1)) is not None
 
 
 def known_part(session: Session, lease: Lease) -> FiguresPart | None:
@@ -84,7 +84,7 @@ def known_part(session: Session, lease: Lease) -> FiguresPart | None:
     Parts of which something could not be measured are not, either.
     """
     team = select(Submission.team_id).where(Submission.id == lease.submission_id).scalar_subquery()
-    found = session.scalars(
+    parts_known = session.scalars(
         select(SubmissionFile.facts["part"])
         .join(Submission, Submission.id == SubmissionFile.submission_id)
         .where(
@@ -96,7 +96,7 @@ def known_part(session: Session, lease: Lease) -> FiguresPart | None:
         )
         .order_by(SubmissionFile.sha256)
     )
-    parts = [FiguresPart.model_validate(part) for part in found]
+    parts = [FiguresPart.model_validate(part) for part in parts_known]
     return next((part for part in parts if part.problem is None), None)
 
 
@@ -194,8 +194,8 @@ def document(session: Session, by: Principal, submission_id: UUID) -> DocumentVi
         ServiceError: there is no such submission, or it has no document.
     """
     visible(session, by, submission_id)
-    found = _file(session, submission_id, FileRole.DOCUMENT)
-    return DocumentView.from_row(found)
+    file = _file(session, submission_id, FileRole.DOCUMENT)
+    return DocumentView.from_row(file)
 
 
 def to_save(submission_id: UUID, document: DocumentView) -> dict[str, str]:
@@ -214,10 +214,10 @@ def to_save(submission_id: UUID, document: DocumentView) -> dict[str, str]:
 
 
 def _file(session: Session, submission_id: UUID, role: FileRole) -> SubmissionFile:
-    found = find_file(session, submission_id, role)
-    if found is None:
+    file = find_file(session, submission_id, role)
+    if file is None:
         raise not_found(f"{role} of submission", submission_id)
-    return found
+    return file
 
 
 def _gain(session: Session, by: Principal, submission: Submission) -> SensingGain | None:

@@ -43,7 +43,7 @@ def list_files(session: Session, by: Principal, stage: Stage) -> list[StageFile]
     """
     by.require_organizer(stage.competition)
     query = select(Submission).where(stage.submissions).options(joinedload(Submission.team))
-    found = sorted(session.scalars(query), key=lambda one: (one.team.name_key, one.submitted_at))
+    submissions = sorted(session.scalars(query), key=lambda one: (one.team.name_key, one.submitted_at))
     return [
         StageFile(
             team=one.team.name,
@@ -54,7 +54,7 @@ def list_files(session: Session, by: Principal, stage: Stage) -> list[StageFile]
             submitted_at=one.submitted_at,
             file=f"{_plain(one.team.name)}/{one.submitted_at:%Y%m%d-%H%M%S}-{str(one.id)[:8]}.{_end(one)}",
         )
-        for one in found
+        for one in submissions
     ]
 
 

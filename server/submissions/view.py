@@ -54,7 +54,7 @@ def submission_views(
         by: who asks, and gets what may be shown to them.
         with_output: show also what the policies printed.
     """
-    newest = [found[0] for found in runs.values()]
+    newest = [evaluation[0] for evaluation in runs.values()]
     rows = EvaluationRows.read(session, newest, by, with_output=with_output)
     names = ShownNames.read(session, by)
     known_workers = fleet(session, settings)
@@ -62,19 +62,19 @@ def submission_views(
         evaluations=rows,
         by=by,
         names=names,
-        findings=make_finding_views(session, [found for found in newest if found.id not in rows.hidden]),
+        findings=make_finding_views(session, [evaluation for evaluation in newest if evaluation.id not in rows.hidden]),
         copies=find_copies(
             session,
-            [found.id for found in newest],
+            [evaluation.id for evaluation in newest],
             names,
-            logs=[found.id for found in newest if found.submission.kind.form.is_verified],
+            logs=[evaluation.id for evaluation in newest if evaluation.submission.kind.form.is_verified],
         ),
         fleet=known_workers,
         workers=cache(partial(_workers, known_workers)),
         places=cache(partial(_places, session, by)),
         find_stage=partial(find_stage, session),
     )
-    return [_view(found, shown) for found in runs.values()]
+    return [_view(evaluation, shown) for evaluation in runs.values()]
 
 
 def _places(session: Session, by: Principal, stage: Stage) -> PlacesOfBoards:

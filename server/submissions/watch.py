@@ -55,10 +55,10 @@ class Watched:
 
     async def look(self, account: str, make: Callable[[], Awaitable[ResultT]]) -> ResultT:
         """Return what `make` gives, made once for all of an account that look at the same version."""
-        found = self._looks.get(account)
-        if found is None or found[0] != self.version or found[1].cancelled():
-            found = self._looks[account] = self.version, asyncio.ensure_future(make())
-        return cast("ResultT", await asyncio.shield(found[1]))
+        latest = self._looks.get(account)
+        if latest is None or latest[0] != self.version or latest[1].cancelled():
+            latest = self._looks[account] = self.version, asyncio.ensure_future(make())
+        return cast("ResultT", await asyncio.shield(latest[1]))
 
     async def wait(self, seen: int) -> None:
         """Wait until there is another version than the one seen, which is so after a while at the latest."""

@@ -33,16 +33,16 @@ class LogState:
 
 def ensure_key(session: Session) -> ReceiptKey:
     """Return the key that signs the log, made at the first call of all."""
-    found = session.get(ReceiptKey, 1)
-    if found is None:
+    key = session.get(ReceiptKey, 1)
+    if key is None:
         made = Ed25519PrivateKey.generate()
         values = {
             "private_key": made.private_bytes_raw().hex(),
             "public_key": made.public_key().public_bytes_raw().hex(),
         }
         session.execute(insert(ReceiptKey).values(id=1, **values).on_conflict_do_nothing())
-        found = session.get_one(ReceiptKey, 1)
-    return found
+        key = session.get_one(ReceiptKey, 1)
+    return key
 
 
 def append(

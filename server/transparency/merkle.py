@@ -132,18 +132,18 @@ def check_inclusion(leaf: bytes, index: int, size: int, proof: Sequence[bytes], 
     """
     if not 0 <= index < size:
         raise ProofRejected(f"Expected an index below the size {size}, got {index}.")
-    at, last, found = index, size - 1, leaf
+    at, last, computed = index, size - 1, leaf
     for node in proof:
         if last == 0:
             raise ProofRejected(f"The inclusion proof of index {index} is too long.")
         if at & 1 or at == last:
-            found = hash_children(node, found)
+            computed = hash_children(node, computed)
             while not at & 1 and at:
                 at, last = at >> 1, last >> 1
         else:
-            found = hash_children(found, node)
+            computed = hash_children(computed, node)
         at, last = at >> 1, last >> 1
-    if last or found != root:
+    if last or computed != root:
         raise ProofRejected(f"The inclusion proof does not lead from entry {index} to the root of {size} entries.")
 
 

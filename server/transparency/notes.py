@@ -61,10 +61,15 @@ class VerifierKey:
             kind, *key = b64decode(encoded, validate=True)
         except (ValueError, NotBase64):
             raise NoteRejected(f"Expected a key as NAME+ID+KEY, got {text[:100]!r}.") from None
-        found = cls(name=name, kind=kind, public_key=bytes(key))
-        if not _NAME.fullmatch(name) or kind not in {OF_LOG, OF_WITNESS} or len(key) != 32 or found.id.hex() != key_id:
+        verifier = cls(name=name, kind=kind, public_key=bytes(key))
+        if (
+            not _NAME.fullmatch(name)
+            or kind not in {OF_LOG, OF_WITNESS}
+            or len(key) != 32
+            or verifier.id.hex() != key_id
+        ):
             raise NoteRejected(f"{text[:100]!r} is no Ed25519 key of a log or a witness, or a part of it was changed.")
-        return found
+        return verifier
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -57,14 +57,14 @@ def unpack_entries(content: bytes) -> list[bytes]:
     Raises:
         ProofRejected: it ends within one.
     """
-    found, at = [], 0
+    entries, at = [], 0
     while at < len(content):
         end = at + 2 + int.from_bytes(content[at : at + 2])
         if end > len(content):
             raise ProofRejected("A file of entries ends within an entry.")
-        found.append(content[at + 2 : end])
+        entries.append(content[at + 2 : end])
         at = end
-    return found
+    return entries
 
 
 class PublishedLog:
@@ -101,12 +101,12 @@ class PublishedLog:
 
     def read_witnessed(self) -> list[Checkpoint]:
         """Return the newest checkpoint that each witness has signed, of those that the log has signed, too."""
-        found = []
+        checkpoints = []
         for text in _texts(self._fetch(WITNESSED_PATH)):
             checkpoint = Checkpoint.parse(text)
             checkpoint.require_signature(self.key)
-            found.append(checkpoint)
-        return found
+            checkpoints.append(checkpoint)
+        return checkpoints
 
     def _read_hashes(self, level: int, number: int, width: int) -> list[bytes]:
         content = self._read(level, number, width)[: width * _HASH_BYTES]
@@ -155,9 +155,9 @@ def read_checkpoint(fetch: Fetch) -> Checkpoint:
 def _texts(content: bytes | None) -> list[str]:
     """Return the texts of a JSON list; none where there is no such file."""
     try:
-        found = json.loads(content or b"[]")
+        texts = json.loads(content or b"[]")
     except ValueError:
-        found = None
-    if not isinstance(found, list) or not all(isinstance(text, str) for text in found):
+        texts = None
+    if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts):
         raise NoteRejected(f"{WITNESSED_PATH}: expected a JSON list of checkpoints.")
-    return found
+    return texts

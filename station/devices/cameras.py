@@ -84,9 +84,14 @@ class DepthCamera:
     def intrinsics(self) -> ColourIntrinsics:
         """Return the intrinsics of the colour camera that its maker stored in it."""
         rs = _library()
-        found = self._profile.get_stream(rs.stream.color).as_video_stream_profile().get_intrinsics()
+        of_stream = self._profile.get_stream(rs.stream.color).as_video_stream_profile().get_intrinsics()
         return ColourIntrinsics(
-            width=found.width, height=found.height, fx=found.fx, fy=found.fy, cx=found.ppx, cy=found.ppy
+            width=of_stream.width,
+            height=of_stream.height,
+            fx=of_stream.fx,
+            fy=of_stream.fy,
+            cx=of_stream.ppx,
+            cy=of_stream.ppy,
         )
 
     def read(self) -> ColourDepth:

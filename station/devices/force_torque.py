@@ -122,10 +122,10 @@ class ForceTorqueSensor:
         end = monotonic() + self._answer_s
         name = command.partition("=")[0]
         answered = re.compile(rb"ACK\+(%s\b[^\r\n]*)\r\n" % re.escape(name.encode()))
-        while (found := answered.search(self._pending)) is None:
+        while (match := answered.search(self._pending)) is None:
             self._receive(end - monotonic())
-        self._pending = self._pending[found.end() :]
-        answer = found[1].decode("ascii", "replace")
+        self._pending = self._pending[match.end() :]
+        answer = match[1].decode("ascii", "replace")
         if not answer.endswith("$OK"):
             raise DeviceFault(f"The force/torque box at {self._place} refused {command!r:.60}: {answer:.80}.")
         return answer.removeprefix(f"{name}=").removesuffix("$OK")

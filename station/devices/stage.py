@@ -119,14 +119,14 @@ class LinearStage:
     def identify(self) -> Identity:
         """Return version and stored text of `$I`: [VER:version:text]."""
         for line in self._command("$I"):
-            if found := re.fullmatch(r"\[VER:([^:\]]*):([^\]]*)\]", line):
-                return Identity(firmware=found[1], serial_number=found[2] or None)
+            if match := re.fullmatch(r"\[VER:([^:\]]*):([^\]]*)\]", line):
+                return Identity(firmware=match[1], serial_number=match[2] or None)
         raise DeviceFault(f"Stage at {self._port}: expected [VER:...] after $I, got none. Is it GRBL 1.1?")
 
     def settings(self) -> dict[int, float]:
         """Return GRBL's settings `$0` to `$133` by number."""
-        found = (re.fullmatch(r"\$(\d+)=(\S+).*", line) for line in self._command("$$"))
-        return {int(each[1]): float(each[2]) for each in found if each}
+        matches = (re.fullmatch(r"\$(\d+)=(\S+).*", line) for line in self._command("$$"))
+        return {int(each[1]): float(each[2]) for each in matches if each}
 
     def status(self) -> StageStatus:
         """Ask for state and position; works during a motion.

@@ -241,10 +241,10 @@ class _Prober:
 def _mean_markers(pictures: list[NDArray[np.float64]]) -> NDArray[np.float64]:
     """Return the mean places of markers that most pictures show, by the first of them."""
     first = pictures[0]
-    found: list[list[NDArray[np.float64]]] = [[] for _ in first]
+    by_marker: list[list[NDArray[np.float64]]] = [[] for _ in first]
     for markers in pictures:
         distances = np.linalg.norm(first[:, None] - markers[None], axis=2)
         for number, (nearest, distance) in enumerate(zip(distances.argmin(1), distances.min(1), strict=True)):
             if distance < 2.0:
-                found[number].append(markers[nearest])
-    return np.array([np.mean(each, axis=0) for each in found if 2 * len(each) > len(pictures)])
+                by_marker[number].append(markers[nearest])
+    return np.array([np.mean(each, axis=0) for each in by_marker if 2 * len(each) > len(pictures)])

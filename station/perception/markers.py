@@ -63,8 +63,8 @@ def find_blobs(darkness: NDArray[np.float32]) -> Positions:
     mask = (darkness > _MARKER_SUM).astype(np.uint8) * 255
     square = np.ones((3, 3), np.uint8)
     closed = cv2.erode(cv2.dilate(mask, square, iterations=_CLOSING), square, iterations=_CLOSING)
-    found = _detector().detect(255 - closed)
-    return np.array([blob.pt for blob in found], dtype=np.float64).reshape(-1, 2)
+    blobs = _detector().detect(255 - closed)
+    return np.array([blob.pt for blob in blobs], dtype=np.float64).reshape(-1, 2)
 
 
 @cache
@@ -136,39 +136,39 @@ class MarkerTracker:
         self._seen += 1
         if self._seen <= DROPPED_PICTURES:
             return None
-        found = self.find(cut_picture(picture))
+        positions = self.find(cut_picture(picture))
         if self._seen == DROPPED_PICTURES + 1:
-            self._start(found)
+            self._start(positions)
         else:
-            self._follow(found)
+            self._follow(positions)
         flow = MarkerFlow(self._reference[~self._lost], self._current[~self._lost])
         self._still = 0 if flow.is_contact() else self._still + 1
         if self._still >= _STILL_PICTURES:
-            self._start(found)
+            self._start(positions)
         return flow
 
     def start_again(self) -> None:
         """Take the next picture for the reference, as the challenge's reset service does."""
         self._seen = min(self._seen, DROPPED_PICTURES)
 
-    def _start(self, found: Positions) -> None:
-        self._reference, self._current = found, found.copy()
-        self._lost, self._still = np.zeros(len(found), dtype=bool), 0
+    def _start(self, positions: Positions) -> None:
+        self._reference, self._current = positions, positions.copy()
+        self._lost, self._still = np.zeros(len(positions), dtype=bool), 0
 
-    def _follow(self, found: Positions) -> None:
+    def _follow(self, positions: Positions) -> None:
         """Move each marker to the nearest one found; of two that want the same, the farther is lost."""
         followed = np.flatnonzero(~self._lost)
-        if not len(found) or not len(followed):
+        if not len(positions) or not len(followed):
             self._lost[:] = True
             return
-        distances = np.linalg.norm(self._current[followed, None] - found[None], axis=2)
+        distances = np.linalg.norm(self._current[followed, None] - positions[None], axis=2)
         nearest, distance = distances.argmin(axis=1), distances.min(axis=1)
         order = np.argsort(distance, kind="stable")
         _, first = np.unique(nearest[order], return_index=True)
         closest = np.zeros(len(followed), dtype=bool)
         closest[order[first]] = True
         is_kept = closest & (distance <= _FARTHEST_PX)
-        self._current[followed[is_kept]] = found[nearest[is_kept]]
+        self._current[followed[is_kept]] = positions[nearest[is_kept]]
         self._lost[followed[~is_kept]] = True
 
 

@@ -112,17 +112,17 @@ class ForceTorqueTwin:
             answer = "GSD=STOP$OK"
         elif line == "AT+DCKMD=SUM":
             answer = "DCKMD=SUM$OK"
-        elif found := re.fullmatch(r"AT\+SMPR=(\d+)", line):
-            self._rate_hz = float(found[1])
-            answer = f"SMPR={found[1]}$OK"
+        elif match := re.fullmatch(r"AT\+SMPR=(\d+)", line):
+            self._rate_hz = float(match[1])
+            answer = f"SMPR={match[1]}$OK"
         elif line == "AT+DCPM=?":
             rows = ";".join("(" + ",".join(f"{value:.6f}" for value in row) + ")" for row in self.decoupling)
             answer = f"DCPM={rows}$OK"
         elif line == "AT+ADJZF=1;1;1;1;1;1":
             self._zero = self.wrench()
             answer = "ADJZF=1;1;1;1;1;1$OK"
-        elif found := re.fullmatch(r"AT\+(SGDM=.*)", line):
-            answer = f"{found[1]}$OK"
+        elif match := re.fullmatch(r"AT\+(SGDM=.*)", line):
+            answer = f"{match[1]}$OK"
         else:
             answer = f"{line.removeprefix('AT+')}$ERROR"
         return f"ACK+{answer}\r\n".encode()

@@ -147,14 +147,14 @@ class PrintedMarkers:
         top_m = float(gel.rest_position_m[:, 2].max()) + self._eye_m
         in_camera_m = (grid_px - CHALLENGE_CAMERA[2:]) * top_m / np.array(CHALLENGE_CAMERA[:2])
         triangles = gel.surface_triangles
-        found = SensorDesign(
+        design = SensorDesign(
             gel=gel,
             sensing_triangles=triangles[gel.sensing[triangles].all(axis=1)],
             camera=CHALLENGE_CAMERA,
             markers_mm=-1e3 * in_camera_m,
         ).attachment
-        attached = found.faults == 0
-        self._corners, self._weights = triangles[found.triangles[attached]], found.weights[attached]
+        attached = design.faults == 0
+        self._corners, self._weights = triangles[design.triangles[attached]], design.weights[attached]
         self.count = len(self._corners)
 
     def in_camera_m(self, points_m: FloatArray, pose: SensorPose) -> FloatArray:

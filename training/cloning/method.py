@@ -141,7 +141,7 @@ class Cloning:
             TrainingDiverged: a loss is no number; all rounds before are kept.
         """
         judged = {each.number: each for each in read_log(self.folder.log, _round)}
-        found: list[Round] = []
+        rounds: list[Round] = []
         played: list[ClonedEpisodes] = []
         weights: Mapping[str, FloatArray] | None = None
         remove_leftovers(self.folder.episodes)
@@ -151,15 +151,15 @@ class Cloning:
                 first = number * _ROUND_NUMBERS
                 played.append(self._played(f"round-{number:03d}", Use.COLLECT, first, self.plan.episodes, weights))
                 weights = self._learned(number, join(played))
-                found.append(judged.get(number) or self._judged(number, weights, played))
+                rounds.append(judged.get(number) or self._judged(number, weights, played))
                 if number in judged:
                     self.progress.begin(self.before + number)
                 else:
-                    charts.add_row(number, _row(found[-1]))
-                extend_log(self.folder.log, [_row(each) for each in found])
+                    charts.add_row(number, _row(rounds[-1]))
+                extend_log(self.folder.log, [_row(each) for each in rounds])
                 left = self.progress.left(self.before + number, 2 * self.plan.rounds)
-                self.tell(f"round {number} of {self.plan.rounds}: {format_rate(found[-1].solved)}{left}")
-        return found
+                self.tell(f"round {number} of {self.plan.rounds}: {format_rate(rounds[-1].solved)}{left}")
+        return rounds
 
     def report(self, number: int) -> list[PolicyEpisode]:
         """Play the fresh starts with the policy of a round, and return how they ended."""
@@ -282,9 +282,9 @@ def clone(
     return gain
 
 
-def best(found: Sequence[Round]) -> Round:
+def best(rounds: Sequence[Round]) -> Round:
     """Return the round whose policy solved the most held-out starts, the latest of equals."""
-    return max(found, key=lambda each: (each.solved.successes, each.number))
+    return max(rounds, key=lambda each: (each.solved.successes, each.number))
 
 
 def _tell_whose(tell: Tell, name: str, line: str) -> None:

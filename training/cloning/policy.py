@@ -70,11 +70,11 @@ def choose_action(weights: Mapping[str, FloatArray], rows: FloatArray) -> FloatA
 
 def compute_layers(weights: Mapping[str, FloatArray], inputs: FloatArray) -> list[FloatArray]:
     """Return the inputs and what each layer makes of them; the last one gives the actions."""
-    found = [inputs]
+    layers = [inputs]
     for number in range(LAYERS):
-        values = found[-1] @ weights[f"weight{number}"] + weights[f"bias{number}"]
-        found.append(np.maximum(values, 0.0) if number < LAYERS - 1 else values)
-    return found
+        values = layers[-1] @ weights[f"weight{number}"] + weights[f"bias{number}"]
+        layers.append(np.maximum(values, 0.0) if number < LAYERS - 1 else values)
+    return layers
 
 
 def make_windows(rows: FloatArray) -> FloatArray:

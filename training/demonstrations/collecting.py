@@ -128,19 +128,19 @@ def read_demonstrations(path: Path) -> Iterator[Demonstration]:
         last = 0
         for number, line in enumerate(file, start=2):
             try:
-                found = Demonstration.model_validate_json(line)
+                demonstration = Demonstration.model_validate_json(line)
             except ValidationError as error:
                 raise CollectionRejected(
                     f"{path}:{number} is no demonstration ({error.errors()[0]['msg']}); collect again into "
                     "another folder."
                 ) from error
-            if found.episode <= last:
+            if demonstration.episode <= last:
                 raise CollectionRejected(
-                    f"{path}:{number} is episode {found.episode}, expected one after {last}; collect again into "
-                    "another folder."
+                    f"{path}:{number} is episode {demonstration.episode}, expected one after {last}; collect again "
+                    "into another folder."
                 )
-            last = found.episode
-            yield found
+            last = demonstration.episode
+            yield demonstration
 
 
 _KINDS = (
@@ -216,15 +216,15 @@ def collect(
         FolderInUse: another process writes there.
         NotSaved: it cannot be written.
     """
-    track, found = find_task(task)
+    track, definition = find_task(task)
     with ExitStack() as exits:
         player: Expert | PolicyPlayer
         if policy is None:
-            player, digest = Expert(found), None
+            player, digest = Expert(definition), None
         else:
             submission = exits.enter_context(staged(policy))
-            player, digest = exits.enter_context(PolicyPlayer(track, found, submission)), submission_digest(policy)
-        manifest = make_manifest(track, found, player.env)
+            player, digest = exits.enter_context(PolicyPlayer(track, definition, submission)), submission_digest(policy)
+        manifest = make_manifest(track, definition, player.env)
         source = Source(manifest=manifest, stream=stream(seed, Use.COLLECT), policy=digest)
         path = folder / task / FILE
         file = exits.enter_context(open_collection(path, source))

@@ -125,9 +125,9 @@ def make_card_of(folder: Path) -> str:
 def _kind_row(kind: DemonstrationKind, episodes: Sequence[StoredEpisode]) -> str | None:
     if not episodes:
         return None
-    found = rate(sum(each.outcome == "success" for each in episodes), len(episodes))
-    percent = [f"{100 * part:.1f}" for part in (found.success_rate, found.interval.low, found.interval.high)]
-    return f"| {kind.value} | {found.episodes} | {found.successes} | {percent[0]} [{percent[1]}, {percent[2]}] |"
+    counted = rate(sum(each.outcome == "success" for each in episodes), len(episodes))
+    percent = [f"{100 * part:.1f}" for part in (counted.success_rate, counted.interval.low, counted.interval.high)]
+    return f"| {kind.value} | {counted.episodes} | {counted.successes} | {percent[0]} [{percent[1]}, {percent[2]}] |"
 
 
 def write_minari(folder: Path, source: Source, env: Any, frames: Iterator[Frames]) -> None:

@@ -150,12 +150,12 @@ class Learner:
         Raises:
             TrainingDiverged: the loss is not finite; nothing has been changed.
         """
-        first, second, found = _forward(self.parameters, inputs, actions)
-        loss = float((np.maximum(found, 0.0) - found * targets + np.log1p(np.exp(-np.abs(found)))).mean())
+        first, second, predicted = _forward(self.parameters, inputs, actions)
+        loss = float((np.maximum(predicted, 0.0) - predicted * targets + np.log1p(np.exp(-np.abs(predicted)))).mean())
         if not np.isfinite(loss):
             steps = self.adam.steps
             raise TrainingDiverged(f"The loss is {loss} after {steps} gradient steps; expected a finite number.")
-        slope = ((probability(found) - targets) / np.float32(found.size))[..., None]
+        slope = ((probability(predicted) - targets) / np.float32(predicted.size))[..., None]
         self.adam.descend(_gradients(self.parameters, (inputs, actions, first, second), slope), rate)
         return loss
 

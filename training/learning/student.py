@@ -259,5 +259,5 @@ def fit_belief(weights: Mapping[str, FloatArray], episodes: Episodes) -> FloatAr
     inputs = belief_inputs(weights, student_inputs(episodes)[looked]).astype(np.float64)
     offsets = episodes.truths[looked, OFFSET].astype(np.float64)
     squares = inputs.T @ inputs / len(inputs)
-    found = np.linalg.solve(squares + _RIDGE * np.eye(len(squares)), inputs.T @ offsets / len(inputs))
-    return np.asarray(found, dtype=np.float32)
+    belief = np.linalg.solve(squares + _RIDGE * np.eye(len(squares)), inputs.T @ offsets / len(inputs))
+    return np.asarray(belief, dtype=np.float32)

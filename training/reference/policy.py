@@ -167,14 +167,14 @@ def read_head_order(folder: Path) -> tuple[str, ...]:
         ValueError: it does not say it.
     """
     path = folder / "adapter.json"
-    found = tuple(json.loads(path.read_text())["head"]) if path.exists() else ()
-    if sorted(found) != sorted(SIGHT_FIRST):
+    order = tuple(json.loads(path.read_text())["head"]) if path.exists() else ()
+    if sorted(order) != sorted(SIGHT_FIRST):
         raise ValueError(
             "It is not published whether what is seen or what is felt enters the head of Track 2's actor first. Look "
             'into the code that trained these weights, and write adapter.json beside them: {"head": ["sight", '
             '"touch"]} or {"head": ["touch", "sight"]}.'
         )
-    return found
+    return order
 
 
 def read_state(path: Path) -> Mapping[str, Any]:

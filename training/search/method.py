@@ -162,27 +162,27 @@ class WeightSearch:
         """
         with claimed(self.folder.path, self.recipe.model_dump(mode="json"), self.tell):
             with Charts(self.folder.path, self.tell) as charts:
-                found = self._generations(charts)
-            chosen = best(found)
+                generations = self._generations(charts)
+            chosen = best(generations)
             export(load(self.folder.networks(chosen.number))["mean"], self.folder.path / "submission")
-            return found
+            return generations
 
     def _generations(self, charts: Charts) -> list[Generation]:
         mean, spread = np.zeros((ACTIONS, FEATURES)), np.full((ACTIONS, FEATURES), FIRST_SPREAD)
         mean[:, 0] = -FIRST_PULL, -FIRST_LIFT
         judged = {generation.number: generation for generation in read_log(self.folder.log, _generation)}
-        found: list[Generation] = []
+        generations: list[Generation] = []
         numbers = range(1, self.recipe.generations + 1)
         progress = TrainingProgress()
         progress.left(sum(self.folder.networks(number).exists() for number in numbers), len(numbers))
         for number in numbers:
             mean, spread = self._next(number, mean, spread)
-            found.append(judged.get(number) or self._judged(number, mean))
+            generations.append(judged.get(number) or self._judged(number, mean))
             if number not in judged:  # before the log: a kill in between charts it twice rather than never
-                charts.add_row(number, _row(found[-1]))
-            extend_log(self.folder.log, [_row(generation) for generation in found])
-            self._tell_generation(found[-1], progress.left(number, len(numbers)))
-        return found
+                charts.add_row(number, _row(generations[-1]))
+            extend_log(self.folder.log, [_row(generation) for generation in generations])
+            self._tell_generation(generations[-1], progress.left(number, len(numbers)))
+        return generations
 
     def _next(self, number: int, mean: FloatArray, spread: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean and spread of the best of a generation, or read what they were."""
@@ -217,9 +217,9 @@ class WeightSearch:
             mean_env_steps=sum(solved) / len(solved) if solved else 0.0,
         )
 
-    def _tell_generation(self, found: Generation, left: str) -> None:
-        solved = f"{format_rate(found.solved)} in {found.mean_env_steps:.2f} env steps"
-        self.tell(f"generation {found.number} of {self.recipe.generations}: {solved}{left}")
+    def _tell_generation(self, generation: Generation, left: str) -> None:
+        solved = f"{format_rate(generation.solved)} in {generation.mean_env_steps:.2f} env steps"
+        self.tell(f"generation {generation.number} of {self.recipe.generations}: {solved}{left}")
 
     def _starts(self, use: Use, first: int, count: int) -> list[tuple[int, int]]:
         seed = stream(self.recipe.seed, use)
@@ -231,9 +231,9 @@ class WeightSearch:
         return list(map_in_order(playing, works, self.processes))
 
 
-def best(found: Iterable[Generation]) -> Generation:
+def best(generations: Iterable[Generation]) -> Generation:
     """Return the generation with the most successes, of these with the fewest env steps, and of equals the latest."""
-    return max(found, key=lambda each: (each.solved.successes, -each.mean_env_steps, each.number))
+    return max(generations, key=lambda each: (each.solved.successes, -each.mean_env_steps, each.number))
 
 
 def export(weights: FloatArray, folder: Path) -> None:

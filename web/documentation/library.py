@@ -139,12 +139,12 @@ class Library:
         if "://" in target or target.startswith("#"):
             return target
         path, hash_, anchor = target.partition("#")
-        found = strip_suffix(posixpath.normpath(posixpath.join(posixpath.dirname(name), path)))
-        if found.startswith("../web/static/"):
-            return found.removeprefix("../web")
-        if found not in self.files:
+        address = strip_suffix(posixpath.normpath(posixpath.join(posixpath.dirname(name), path)))
+        if address.startswith("../web/static/"):
+            return address.removeprefix("../web")
+        if address not in self.files:
             return None
-        return ADDRESS + ("" if found == INDEX else found) + hash_ + anchor
+        return ADDRESS + ("" if address == INDEX else address) + hash_ + anchor
 
 
 def is_document(path: str) -> bool:

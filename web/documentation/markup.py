@@ -75,19 +75,19 @@ def slug(heading: str) -> str:
 
 def _divide(tokens: Sequence[Token]) -> tuple[Section, ...]:
     """Give each heading its anchor, and return the sections."""
-    found: list[tuple[Token, str, list[str]]] = []
+    parts: list[tuple[Token, str, list[str]]] = []
     anchors: Counter[str] = Counter()
     for token, following in pairwise(tokens):
         if token.type == "heading_open":
             anchor = slug(following.content)
             anchors[anchor] += 1
             token.attrSet("id", anchor if anchors[anchor] == 1 else f"{anchor}-{anchors[anchor] - 1}")
-            found.append((token, _text(following), []))
+            parts.append((token, _text(following), []))
         elif following.type in ("inline", "fence") and token.type != "heading_open":
-            found[-1][2].append(_text(following))
+            parts[-1][2].append(_text(following))
     return tuple(
         Section(level=int(token.tag[1]), heading=heading, anchor=str(token.attrs["id"]), text=" ".join(texts))
-        for token, heading, texts in found
+        for token, heading, texts in parts
     )
 
 
@@ -134,9 +134,9 @@ def settings() -> str:
 
 def task(name: str) -> str:
     """Return the observations and the actions of a task."""
-    _, found = find_task(name)
-    seen = ((row.name, f"{tuple(row.shape)} {row.dtype}", row.unit, row.meaning) for row in found.observables)
-    done = ((row.name, f"{row.scale:g} {row.unit}", row.meaning) for row in found.actions)
+    _, definition = find_task(name)
+    seen = ((row.name, f"{tuple(row.shape)} {row.dtype}", row.unit, row.meaning) for row in definition.observables)
+    done = ((row.name, f"{row.scale:g} {row.unit}", row.meaning) for row in definition.actions)
     observations = _table(("observation", "shape, type", "unit", "meaning"), seen)
     return f"{observations}\n{_table(('action', 'at 1', 'meaning'), done)}"
 

@@ -27,8 +27,10 @@ def environments() -> str:
     for env_id, task in sorted(task_definitions().items()):
         module, _, name = task.environment.partition(":")
         if module.startswith("vitac."):  # those of other packages have their own documentation
-            (found,) = [node for node in _tree(module).body if isinstance(node, ast.ClassDef) and node.name == name]
-            lines += [f"## {env_id}", append_tables(ast.get_docstring(found) or "", task), ""]
+            (node_of_class,) = [
+                node for node in _tree(module).body if isinstance(node, ast.ClassDef) and node.name == name
+            ]
+            lines += [f"## {env_id}", append_tables(ast.get_docstring(node_of_class) or "", task), ""]
     return "\n".join(lines)
 
 

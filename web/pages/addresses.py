@@ -16,12 +16,12 @@ def as_id(text: str) -> UUID:
         ServiceError: it is not an id, so there is no such submission.
     """
     try:
-        found = UUID(text)
+        parsed = UUID(text)
     except ValueError as error:
         raise not_found("submission", text) from error
-    if str(found) != text.lower():  # UUID also reads braces and digits of other scripts
+    if str(parsed) != text.lower():  # UUID also reads braces and digits of other scripts
         raise not_found("submission", text)
-    return found
+    return parsed
 
 
 def read_competition_name(request: Request) -> str | None:

@@ -64,10 +64,10 @@ async def _show(
     def read(session: Session) -> tuple[Stage, str, list[BriefView], bool]:
         competition = Competition.find(session, place["competition"])
         stage = competition.stage(place["track"], place["stage"])
-        found = [briefs.brief_view(brief) for brief in briefs.list_briefs(session, viewer.principal, stage)]
-        return stage, competition.definition.title, found, competition.row.finalized_at is not None
+        listed = [briefs.brief_view(brief) for brief in briefs.list_briefs(session, viewer.principal, stage)]
+        return stage, competition.definition.title, listed, competition.row.finalized_at is not None
 
-    stage, title, found, is_final = await get_site(request).read(read)
+    stage, title, listed, is_final = await get_site(request).read(read)
     now = datetime.now(UTC)
     return page(
         request,
@@ -81,7 +81,7 @@ async def _show(
         track_title=stage.track_rules.title,
         place=dict(place),
         briefs_address=ADDRESS.format(**place),
-        found=found,
+        found=listed,
         is_open=stage.rules.opens <= now < stage.rules.closes,
         may_decide=not viewer.principal.team_id and stage.is_over(now) and not is_final,
     )

@@ -32,8 +32,8 @@ N_SAID = 3
 
 async def competitions(request: Request) -> Response:
     """Show all competitions of this service to everybody."""
-    found = (await get_site(request).read(competition_list_view)).items
-    return page(request, "competitions.html", viewer=await get_viewer(request), section="/competition", found=found)
+    listed = (await get_site(request).read(competition_list_view)).items
+    return page(request, "competitions.html", viewer=await get_viewer(request), section="/competition", found=listed)
 
 
 async def competition(request: Request) -> Response:
@@ -60,13 +60,13 @@ async def competition(request: Request) -> Response:
         }
         return shown, said, len(competition_list_view(session).items), boards
 
-    found, said, n_competitions, boards = await get_site(request).read(read)
+    view, said, n_competitions, boards = await get_site(request).read(read)
     return page(
         request,
         "competition.html",
         viewer=viewer,
         section="/competition",
-        found=found,
+        found=view,
         competition_url=competition_address(competition),
         board_address=partial(board_address, competition),
         has_others=n_competitions > 1,
@@ -74,7 +74,7 @@ async def competition(request: Request) -> Response:
         said=said[:N_SAID],
         organizes_service=competition is not None and by.organizes(competition),
         now=(now := datetime.now(UTC)),
-        countdowns=list_countdowns(found, now),
+        countdowns=list_countdowns(view, now),
     )
 
 
@@ -125,10 +125,10 @@ async def live_picture(request: Request) -> Response:
     return Response(shown.picture, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
 
-def list_countdowns(found: CompetitionView, now: datetime) -> list[Countdown]:
+def list_countdowns(view: CompetitionView, now: datetime) -> list[Countdown]:
     """Return for each track the end of its open stage, else the start of the next, the earliest first."""
     following: dict[tuple[datetime, bool, str], list[str]] = {}
-    for track in found.tracks:
+    for track in view.tracks:
         ends = [(stage.closes, True, stage.title) for stage in track.stages if stage.opens <= now < stage.closes]
         starts = [(stage.opens, False, stage.title) for stage in track.stages if stage.opens > now]
         if coming := ends or starts:
@@ -149,23 +149,23 @@ async def archive(request: Request) -> Response:
     viewer = await get_viewer(request)
 
     def read(session: Session) -> tuple[ArchiveView, Mapping[UUID, DescriptionView]]:
-        found = archive_view(session, competition)
-        public = public_among(session, [entry.submission_id for board in found.boards for entry in board.entries])
-        return found, descriptions_among(session, get_principal(viewer), public)
+        view = archive_view(session, competition)
+        public = public_among(session, [entry.submission_id for board in view.boards for entry in board.entries])
+        return view, descriptions_among(session, get_principal(viewer), public)
 
-    found, described = await get_site(request).read(read)
+    view, described = await get_site(request).read(read)
     return page(
         request,
         "archive.html",
         viewer=viewer,
         section="/competition",
-        found=found.competition,
+        found=view.competition,
         competition_url=competition_address(competition),
-        boards=found.boards,
+        boards=view.boards,
         described=described,
-        public_key=found.public_key,
-        decided_again_at=found.decided_again_at,
-        citation=found.citation,
-        titles={track.name: track.title for track in found.competition.tracks},
-        stages={(track.name, stage.name): stage.title for track in found.competition.tracks for stage in track.stages},
+        public_key=view.public_key,
+        decided_again_at=view.decided_again_at,
+        citation=view.citation,
+        titles={track.name: track.title for track in view.competition.tracks},
+        stages={(track.name, stage.name): stage.title for track in view.competition.tracks for stage in track.stages},
     )

@@ -29,8 +29,8 @@ async def desk(request: Request) -> Response:
         ServiceError: the visitor is none.
     """
     viewer = await require_viewer(request)
-    found = await get_site(request).ask(lambda session: read_desk(session, viewer.principal))
-    return page(request, "desk.html", viewer=viewer, section=ADDRESS, found=found, board_address=board_address)
+    work = await get_site(request).ask(lambda session: read_desk(session, viewer.principal))
+    return page(request, "desk.html", viewer=viewer, section=ADDRESS, found=work, board_address=board_address)
 
 
 REJUDGING_ADDRESS = "/rejudging"
@@ -45,14 +45,14 @@ async def rejudgements(request: Request) -> Response:
     viewer, site = await require_viewer(request), get_site(request)
 
     def read(session: Session) -> dict[str, Any]:
-        found = rejudging.rejudgements(session, viewer.principal)
+        listed = rejudging.rejudgements(session, viewer.principal)
         competitions = [one for one in Competition.read_all(session) if viewer.principal.organizes(one.name)]
-        ended = [one for one in found if one.applied_at or one.discarded_at]
-        open_ones = [rejudgement_detail_view(session, one) for one in found if one not in ended]
+        ended = [one for one in listed if one.applied_at or one.discarded_at]
+        open_ones = [rejudgement_detail_view(session, one) for one in listed if one not in ended]
         return {
             "open_ones": open_ones,
             "ended": [rejudgement_view(one) for one in ended],
-            "places": {one.id: _place(session, one) for one in found},
+            "places": {one.id: _place(session, one) for one in listed},
             "titles": {name: Competition.find_by_track(session, name).track_title(name) for name in site.tracks},
             "competitions": competitions if len(competitions) > 1 else [],
         }
@@ -68,16 +68,16 @@ async def rejudgements(request: Request) -> Response:
     )
 
 
-def _place(session: Session, found: Rejudgement) -> str:
+def _place(session: Session, rejudgement: Rejudgement) -> str:
     """Return in words which stage is evaluated again, with its competition where there are several."""
     competitions = Competition.read_all(session)
-    competition = next((one for one in competitions if one.name == found.competition), None)
-    titled = competition or Competition.find_by_track(session, found.track)
-    words = [titled.track_title(found.track)]
+    competition = next((one for one in competitions if one.name == rejudgement.competition), None)
+    titled = competition or Competition.find_by_track(session, rejudgement.track)
+    words = [titled.track_title(rejudgement.track)]
     if competition is not None and len(competitions) > 1:
         words.insert(0, competition.definition.title)
-    if found.stage:
-        words.append(titled.stage_titles.get((found.track, found.stage), found.stage))
+    if rejudgement.stage:
+        words.append(titled.stage_titles.get((rejudgement.track, rejudgement.stage), rejudgement.stage))
     return ", ".join(words)
 
 
@@ -93,8 +93,8 @@ async def judging(request: Request) -> Response:
         ServiceError: the visitor is neither.
     """
     viewer = await require_viewer(request)
-    found = await get_site(request).ask(lambda session: sheets(session, viewer.principal))
-    return page(request, "judging.html", viewer=viewer, section=JUDGING_ADDRESS, found=found, rows=_rows)
+    own_sheets = await get_site(request).ask(lambda session: sheets(session, viewer.principal))
+    return page(request, "judging.html", viewer=viewer, section=JUDGING_ADDRESS, found=own_sheets, rows=_rows)
 
 
 def read_marks(fields: Mapping[str, str]) -> Mapping[str, object]:
@@ -113,7 +113,7 @@ async def list_appeals(request: Request) -> Response:
     """Show the appeals of the team, all to organizers and judges."""
     viewer = await require_viewer(request)
     by, competition = viewer.principal, read_competition_name(request)
-    found = await get_site(request).ask(lambda session: appeals.visible(session, by, competition))
+    listed = await get_site(request).ask(lambda session: appeals.visible(session, by, competition))
     is_taken = await get_site(request).read(lambda session: appeals.takes_appeals(session, competition))
     given = request.query_params.get("submission", "")
     return page(
@@ -121,7 +121,7 @@ async def list_appeals(request: Request) -> Response:
         "appeals.html",
         viewer=viewer,
         section=APPEALS_ADDRESS,
-        found=found,
+        found=listed,
         is_taken=is_taken,
         submission=given,
         appeals_address=_address(request),

@@ -36,20 +36,20 @@ async def competition(request: Request) -> Response:
     def read(session: Session) -> CompetitionView:
         return competition_view(session, Competition.find_organized(session, by, name).name)
 
-    found = await site.read(read)
-    end, refusal = await _try_end(request, by, found)
-    return page(request, "desk_competition.html", viewer=viewer, section="/desk", found=found, end=end, refusal=refusal)
+    view = await site.read(read)
+    end, refusal = await _try_end(request, by, view)
+    return page(request, "desk_competition.html", viewer=viewer, section="/desk", found=view, end=end, refusal=refusal)
 
 
-async def _try_end(request: Request, by: Principal, found: CompetitionView) -> tuple[routes.Winners | None, str | None]:
+async def _try_end(request: Request, by: Principal, view: CompetitionView) -> tuple[routes.Winners | None, str | None]:
     """Return how the competition would end, or has ended, and why it cannot."""
     services = get_site(request).services
-    final = found.finalized_at is not None
+    final = view.finalized_at is not None
     try:
         if final:
-            return await get_site(request).run(lambda: routes.get_winners(services, by, found.name)), None
+            return await get_site(request).run(lambda: routes.get_winners(services, by, view.name)), None
         trial = services.make_trial()
-        return await get_site(request).run(lambda: routes.finalize(trial, by, found.name, routes.FinalEnd())), None
+        return await get_site(request).run(lambda: routes.finalize(trial, by, view.name, routes.FinalEnd())), None
     except ServiceError as error:
         return None, error.detail
 
@@ -76,14 +76,14 @@ async def stage(request: Request) -> Response:
     by = viewer.principal
 
     def read(session: Session) -> dict[str, Any]:
-        found = _find_stage(session, by, request)
-        listed = found.sealed_list
+        stage = _find_stage(session, by, request)
+        listed = stage.sealed_list
         return {
-            "stage": found.rules,
-            "title": found.track_rules.title,
-            "over": found.is_over(datetime.now(UTC)),
-            "files": list_files(session, by, found),
-            "proposal": propose(session, by, found) if found.rules.qualified is not None else None,
+            "stage": stage.rules,
+            "title": stage.track_rules.title,
+            "over": stage.is_over(datetime.now(UTC)),
+            "files": list_files(session, by, stage),
+            "proposal": propose(session, by, stage) if stage.rules.qualified is not None else None,
             "sealed": listed,
         }
 

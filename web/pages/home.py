@@ -190,7 +190,7 @@ def _card(name: str, boards: Sequence[_Board], cups: Sequence[CompetitionView], 
     track, first = load_track(name), boards[0]
     board = next((one for one in boards if any(entry.rank for entry in one.view.entries)), first)
     ranked = [entry for entry in board.view.entries if entry.rank]
-    holding = [(cup, found) for cup in cups for found in cup.tracks if found.name == name]
+    holding = [(cup, held) for cup in cups for held in cup.tracks if held.name == name]
     return TrackCard(
         name=name,
         further=not is_challenge_track(track),
@@ -202,7 +202,7 @@ def _card(name: str, boards: Sequence[_Board], cups: Sequence[CompetitionView], 
         is_practice=board.view.is_practice,
         stage=board.stage.title if board.stage and board is not first else None,
         leader=ranked[0] if ranked else None,
-        states=[_find_state(found, cup.title if len(holding) > 1 else None, now) for cup, found in holding]
+        states=[_find_state(held, cup.title if len(holding) > 1 else None, now) for cup, held in holding]
         or [TrackState(competition=None, sentence="Open for practice", moment=None)],
     )
 

@@ -30,22 +30,22 @@ async def operations(request: Request) -> Response:
         raise ServiceError(ProblemCode.FORBIDDEN, "This page is for organizers. Sign in with an organizer's token.")
     site = get_site(request)
     settings = site.services.settings
-    found = await site.ask(lambda session: state.operations(session, settings, totals(session)))
+    state_now = await site.ask(lambda session: state.operations(session, settings, totals(session)))
     disk = measure_disk(settings.state_dir)
-    return page(request, "operations.html", viewer=viewer, section="/operations", found=found, disk=disk)
+    return page(request, "operations.html", viewer=viewer, section="/operations", found=state_now, disk=disk)
 
 
 async def status(request: Request) -> Response:
     """Show whether the service can do its work, part by part."""
     answer = Response()
-    found = await get_ready(get_site(request).services, answer)
+    ready = await get_ready(get_site(request).services, answer)
     return page(
         request,
         "status.html",
         viewer=await get_viewer(request),
         section="/status",
         status=answer.status_code,
-        found=found,
+        found=ready,
     )
 
 
@@ -82,12 +82,12 @@ async def receipt_file(request: Request) -> Response:
     """Return the receipt of a submission's newest result."""
     viewer = await require_viewer(request)
     submission_id = as_id(request.path_params["submission_id"])
-    found = await get_site(request).ask(
+    receipt = await get_site(request).ask(
         lambda session: of_submissions.newest_receipt(session, viewer.principal, submission_id)
     )
-    name = f"receipt-{found.entry.number}.json"
+    name = f"receipt-{receipt.entry.number}.json"
     return Response(
-        found.model_dump_json(indent=1),
+        receipt.model_dump_json(indent=1),
         media_type="application/json",
         headers={"Content-Disposition": f'attachment; filename="{name}"'},
     )
@@ -114,8 +114,8 @@ async def documentation(request: Request) -> Response:
 async def search(request: Request) -> Response:
     """Show the sections that have all words of a query."""
     query = request.query_params.get("q", "")[:200]
-    found = await asyncio.to_thread(get_library(request).search, query)
-    return await _page(request, "document_search.html", query=query, found=found, max_found=MAX_FOUND)
+    hits = await asyncio.to_thread(get_library(request).search, query)
+    return await _page(request, "document_search.html", query=query, found=hits, max_found=MAX_FOUND)
 
 
 async def _page(request: Request, template: str, **values: Any) -> Response:

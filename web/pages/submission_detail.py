@@ -48,9 +48,9 @@ def read_detail(session: Session, settings: Settings, by: Principal, submission_
     Raises:
         ServiceError: the principal may not see it; a visitor is asked for a token.
     """
-    found = readable(session, by, submission_id)
-    evaluations = histories(session, [found], with_output=True)
-    shown, is_own = evaluations[submission_id][0], by.may_see(found.team_id, found.competition)
+    row = readable(session, by, submission_id)
+    evaluations = histories(session, [row], with_output=True)
+    shown, is_own = evaluations[submission_id][0], by.may_see(row.team_id, row.competition)
     view = submission_views(session, settings, evaluations, by, with_output=True)[0]
     return SubmissionDetail(
         submission=view,
@@ -59,5 +59,5 @@ def read_detail(session: Session, settings: Settings, by: Principal, submission_
         episodes_with_output=files.episodes_with_output(session, by, shown),
         practice_episodes=listing.list_episodes(session, by, shown, practice=True),
         past=past_results(session, by, shown) if is_own else (),
-        card=make_card(session, by, shown) if found.kind.form.has_card else None,
+        card=make_card(session, by, shown) if row.kind.form.has_card else None,
     )

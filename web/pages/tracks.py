@@ -101,7 +101,7 @@ async def rules(request: Request) -> Response:
         accepts_logs=accepts_logs(track),
         log_size=size(settings.log_bytes),
         track_tabs=track_tabs(site, track, "/rules"),
-        pictures={name: found for name, task in track.tasks.items() if (found := find_pictures(task))},
+        pictures={name: pictures for name, task in track.tasks.items() if (pictures := find_pictures(task))},
     )
 
 

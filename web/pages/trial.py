@@ -19,19 +19,19 @@ async def trial(request: Request) -> Response:
     """Show a trial to whoever may see it."""
     viewer, place = await get_viewer(request), read_place(request)
     by = get_principal(viewer)
-    found = await get_site(request).ask(
+    view = await get_site(request).ask(
         lambda session: trials.find_trial(session, by, place.submission_id, place.task, place.number)
     )
-    task = load_track(found.track).task(found.task)
+    task = load_track(view.track).task(view.task)
     return page(
         request,
         "trial.html",
         viewer=viewer,
         section="" if viewer is None else "/submissions",
-        trial=found,
-        title=f"{task.title}, trial {found.episode}",
-        start=describe_start(task, found.initial_offset),
-        ending=found.outcome.sentence,
+        trial=view,
+        title=f"{task.title}, trial {view.episode}",
+        start=describe_start(task, view.initial_offset),
+        ending=view.outcome.sentence,
     )
 
 
@@ -41,7 +41,7 @@ async def video(request: Request) -> Response:
     viewer, place = await get_viewer(request), read_place(request)
     by, site = get_principal(viewer), get_site(request)
     named = place.submission_id, place.task, place.number
-    found = await site.ask(lambda session: trials.find_video(session, by, *named))
-    content = await asyncio.to_thread(site.services.blobs.read, found.sha256)
-    headers = {"Cache-Control": "private, no-cache", "Content-Disposition": f'inline; filename="{found.name}"'}
+    file = await site.ask(lambda session: trials.find_video(session, by, *named))
+    content = await asyncio.to_thread(site.services.blobs.read, file.sha256)
+    headers = {"Cache-Control": "private, no-cache", "Content-Disposition": f'inline; filename="{file.name}"'}
     return Response(content, media_type="video/x-motion-jpeg", headers=headers)

@@ -41,9 +41,9 @@ def success_by_draw(track: str, task: str, ends: Sequence[EpisodeView]) -> list[
         return []
     figures = []
     for quantity in definition.drawn_quantities:
-        found = [(end.draws[quantity.name], find_start(end), end.success) for end in ends if quantity.name in end.draws]
-        if found:
-            parts = rates_by_draw(quantity, definition.draws[quantity.name], found)
+        drawn = [(end.draws[quantity.name], find_start(end), end.success) for end in ends if quantity.name in end.draws]
+        if drawn:
+            parts = rates_by_draw(quantity, definition.draws[quantity.name], drawn)
             figures.append(_figure(task, quantity, parts))
     return figures
 
@@ -151,7 +151,7 @@ def _table(shown: dict[str, list[ContactForces]], everything: Sequence[ContactFo
     assert whole is not None  # noqa: S101 - there is an episode
     above = f"{whole.over_force_events} times above {whole.over_force_n:g} N on the held part"
     rows = [
-        *((name, *_figures(found.episodes, found.part)) for name, found in groups.items() if found is not None),
+        *((name, *_figures(ends.episodes, ends.part)) for name, ends in groups.items() if ends is not None),
         *([("On the more loaded gel", *_figures(whole.episodes, whole.gel))] if whole.gel else []),
         (above, f"{whole.over_force_episodes}", "", "", ""),
         *([_describe_stretch(whole.largest_stretch, whole.episodes)] if whole.largest_stretch else []),
@@ -164,5 +164,5 @@ def _describe_stretch(largest: float, episodes: int) -> tuple[str, ...]:
     return f"Largest stretch of a gel: {largest:.2f}", f"{episodes}", "", "", ""
 
 
-def _figures(episodes: int, found: ForceFigures) -> tuple[str, ...]:
-    return f"{episodes}", f"{found.peak_n:.1f}", f"{found.p95_n:.1f}", f"{found.impulse_n_s:.1f}"
+def _figures(episodes: int, forces: ForceFigures) -> tuple[str, ...]:
+    return f"{episodes}", f"{forces.peak_n:.1f}", f"{forces.p95_n:.1f}", f"{forces.impulse_n_s:.1f}"

@@ -36,7 +36,7 @@ def offset_maps(track: str, task: str, ends: Mapping[int, EpisodeView]) -> list[
     for episode in definition.episodes:
         if episode.number in ends:
             starts[episode.shape].setdefault(episode.offset, []).append(ends[episode.number])
-    return [_offset_map(definition, task, shape, found) for shape, found in starts.items()]
+    return [_offset_map(definition, task, shape, of_shape) for shape, of_shape in starts.items()]
 
 
 def _offset_map(

@@ -143,11 +143,11 @@ def episode_map(
         known: the starts are those of the track's file.
         has_ended: the evaluation has, so that no other episode will be run.
     """
-    found, otherwise = load_track(track), NOT_RUN if has_ended else NOT_RUN_YET
-    layout = _layout(track, task, known=known) if task in found.tasks else {}
+    definition, otherwise = load_track(track), NOT_RUN if has_ended else NOT_RUN_YET
+    layout = _layout(track, task, known=known) if task in definition.tasks else {}
     return EpisodeMap(
         task=task,
-        title=title_of_task(found, task),
+        title=title_of_task(definition, task),
         shapes=tuple(
             ShapeMap(
                 name=shape, cells=tuple(_cell(place, ends.get(place.number), folder, otherwise) for place in places)
@@ -173,8 +173,8 @@ def _count_outcomes(ends: Mapping[int, EpisodeView], folder: str | None) -> tupl
 
 def title_of_task(track: Track, task: str) -> str:
     """Return how a task is called on pages; one that the track has no longer by its name."""
-    found = track.tasks.get(task)
-    return words(task) if found is None else found.title
+    definition = track.tasks.get(task)
+    return words(task) if definition is None else definition.title
 
 
 @cache

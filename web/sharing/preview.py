@@ -27,12 +27,12 @@ LARGEST_CELL = 40
 
 
 def draw_preview(
-    found: SubmissionView, track: str, episodes: Sequence[EpisodeView], font_file: Path | None = None
+    view: SubmissionView, track: str, episodes: Sequence[EpisodeView], font_file: Path | None = None
 ) -> bytes:
     """Return the picture of a complete submission, PNG: who, what, how well, and each episode as a cell.
 
     Args:
-        found: the submission.
+        view: the submission.
         track: title of its track.
         episodes: how they ended; nothing where single episodes are not shown.
         font_file: for what Noto Sans cannot write.
@@ -42,9 +42,9 @@ def draw_preview(
     draw.rectangle((0, 0, WIDTH, 12), fill=ACCENT)
     width = (GRID[0] if episodes else WIDTH - MARGIN) - 2 * MARGIN + 24
     _write(draw, 64, f"ViTac Arena · {track}", 28, QUIET, WIDTH - 2 * MARGIN, font_file)
-    _write(draw, 140, found.name, 52, INK, width, font_file)
-    _write(draw, 214, found.team.name, 36, QUIET, width, font_file)
-    _draw_rate(draw, found, width)
+    _write(draw, 140, view.name, 52, INK, width, font_file)
+    _write(draw, 214, view.team.name, 36, QUIET, width, font_file)
+    _draw_rate(draw, view, width)
     _draw_episodes(draw, episodes)
     written = io.BytesIO()
     picture.quantize(COLOURS).save(written, "PNG", optimize=True)
@@ -65,8 +65,8 @@ def checked_font(font_file: Path | None) -> Path | None:
     return font_file
 
 
-def _draw_rate(draw: ImageDraw.ImageDraw, found: SubmissionView, width: int) -> None:
-    played, rank = found.evaluation.played, found.played_rank
+def _draw_rate(draw: ImageDraw.ImageDraw, view: SubmissionView, width: int) -> None:
+    played, rank = view.evaluation.played, view.played_rank
     if played is None:
         return
     low, high = played.success_rate_interval
@@ -188,21 +188,21 @@ class Citation:
     bibtex: str
 
 
-def cite(found: SubmissionView, track: str, address: str) -> Citation:
+def cite(view: SubmissionView, track: str, address: str) -> Citation:
     """Return the texts that cite a complete submission.
 
     Args:
-        found: the submission.
+        view: the submission.
         track: title of its track.
         address: of its page.
     """
-    evaluation, year = found.evaluation, found.submitted_at.year
+    evaluation, year = view.evaluation, view.submitted_at.year
     played = evaluation.played
     rate = f"Success rate {100 * played.success_rate:.1f} % in {', '.join(played.tasks)}, evaluator" if played else ""
     note = f"{rate or 'Evaluator'} {evaluation.evaluator_version}, result hash {evaluation.result_hash}"
     fields = {
-        "title": f"{{{_escaped(found.name)}}}",
-        "author": f"{{{_escaped(found.team.name)}}}",
+        "title": f"{{{_escaped(view.name)}}}",
+        "author": f"{{{_escaped(view.team.name)}}}",
         "year": str(year),
         "howpublished": _escaped(f"ViTac Arena, {track}"),
         "note": _escaped(note),
@@ -210,8 +210,8 @@ def cite(found: SubmissionView, track: str, address: str) -> Citation:
     }
     lines = [f"  {name:<12} = {{{text}}}" for name, text in fields.items()]
     return Citation(
-        plain=f"{found.team.name}. {found.name}. ViTac Arena, {track}, {year}. {note}. {address}",
-        bibtex="\n".join([f"@misc{{vitac_{found.id.hex[:12]},", ",\n".join(lines), "}"]),
+        plain=f"{view.team.name}. {view.name}. ViTac Arena, {track}, {year}. {note}. {address}",
+        bibtex="\n".join([f"@misc{{vitac_{view.id.hex[:12]},", ",\n".join(lines), "}"]),
     )
 
 

@@ -197,8 +197,8 @@ def peg_mesh(meshes: Meshes, target: Target) -> SurfaceMesh:
 
 def peg_bottom(peg: SurfaceMesh, target: Target) -> "np.ndarray[tuple[int], np.dtype[np.int64]]":
     """Find the vertices at the lower corners of a peg, in the order of the logs."""
-    found = hexagon_bottom_vertices(peg) if target is Target.LEFT else bottom_vertices(PegShape.CUBOID, peg)
-    return np.asarray(found, dtype=np.int64)
+    bottom = hexagon_bottom_vertices(peg) if target is Target.LEFT else bottom_vertices(PegShape.CUBOID, peg)
+    return np.asarray(bottom, dtype=np.int64)
 
 
 def base_mesh(meshes: Meshes, clearance_mm: float) -> SurfaceMesh:

@@ -24,7 +24,7 @@ _DEPTH_TIMES_DISPARITY = INFRARED_INTRINSICS.focal_u_px * BASELINE_M * PARTS
 
 
 def registered_depth_m(
-    found: DisparityMap, first_row: int, first_column: int, shown: NDArray[np.int32]
+    disparity: DisparityMap, first_row: int, first_column: int, shown: NDArray[np.int32]
 ) -> NDArray[np.float32]:
     """Return the depth along the optical axis in the colour picture [m], 0 where unknown, shape of `shown`.
 
@@ -33,31 +33,31 @@ def registered_depth_m(
     would grow. A pixel that shows the white background has no depth.
 
     Args:
-        found: disparities in parts of a pixel, 0 for none, shape [h, w].
-        first_row: row of the infrared picture in which `found` begins.
+        disparity: disparities in parts of a pixel, 0 for none, shape [h, w].
+        first_row: row of the infrared picture in which `disparity` begins.
         first_column: its column.
         shown: triangle in every pixel of the colour picture, -1 for the background.
     """
     hit_m = np.zeros(shown.shape)
-    _move_points(found, first_row, first_column, hit_m)
+    _move_points(disparity, first_row, first_column, hit_m)
     depth_m = np.zeros(shown.shape, np.float32)
     _fill_gaps(hit_m, shown, depth_m)
     return depth_m
 
 
 @large_kernel
-def _move_points(found: DisparityMap, first_row: int, first_column: int, hit_m: FloatArray) -> None:
+def _move_points(disparity: DisparityMap, first_row: int, first_column: int, hit_m: FloatArray) -> None:
     """Put the depth of every disparity into the pixel of the colour picture that its point falls into."""
     infrared, colour = INFRARED_INTRINSICS, COLOUR_INTRINSICS
-    for j in range(found.shape[0]):
+    for j in range(disparity.shape[0]):
         y = (first_row + j + 0.5 - infrared.centre_v_px) / infrared.focal_v_px
         row = int(np.floor(colour.focal_v_px * y + colour.centre_v_px))
         if row < 0 or row >= hit_m.shape[0]:
             continue
-        for i in range(found.shape[1]):
-            if found[j, i] == NO_DISPARITY:
+        for i in range(disparity.shape[1]):
+            if disparity[j, i] == NO_DISPARITY:
                 continue
-            z = _DEPTH_TIMES_DISPARITY / found[j, i]
+            z = _DEPTH_TIMES_DISPARITY / disparity[j, i]
             x = (first_column + i + 0.5 - infrared.centre_u_px) / infrared.focal_u_px + LEFT_INFRARED_X_M / z
             column = int(np.floor(colour.focal_u_px * x + colour.centre_u_px))
             if 0 <= column < hit_m.shape[1] and not 0.0 < hit_m[row, column] <= z:
@@ -147,9 +147,9 @@ def depth_of_pair(pair: InfraredPair, colour_view: RenderedView) -> NDArray[np.f
         colour_view: what the colour camera sees.
     """
     rows, columns = _exposed_part(pair.left)
-    found = disparities(np.ascontiguousarray(pair.left[rows, columns]), _right_part(pair.right, rows, columns))
-    found = median_of_neighbours(found)
-    return registered_depth_m(found, rows.start, columns.start, colour_view.triangle)
+    disparity = disparities(np.ascontiguousarray(pair.left[rows, columns]), _right_part(pair.right, rows, columns))
+    disparity = median_of_neighbours(disparity)
+    return registered_depth_m(disparity, rows.start, columns.start, colour_view.triangle)
 
 
 def _exposed_part(picture: Picture) -> tuple[slice, slice]:

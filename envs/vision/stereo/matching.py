@@ -59,9 +59,9 @@ def disparities(left: Picture, right: Picture) -> NDArray[np.int32]:
     lines = np.zeros((_PATHS_OF_SIDE, 2, width + 2, MATCHES + 2), np.int16)
     for side in _SIDES:
         _add_paths(blocks, lines, totals, side)
-    found = np.zeros(left.shape, np.int32)
-    _choose(totals, np.empty(width + MATCHES - 1, np.int32), found)
-    return found
+    disparity = np.zeros(left.shape, np.int32)
+    _choose(totals, np.empty(width + MATCHES - 1, np.int32), disparity)
+    return disparity
 
 
 @numba.extending.intrinsic
@@ -160,7 +160,7 @@ def _add_paths(costs: Costs, lines: Costs, totals: Costs, side: int) -> None:
 
 
 @large_kernel
-def _choose(totals: Costs, best_of_right: NDArray[np.int32], found: NDArray[np.int32]) -> None:
+def _choose(totals: Costs, best_of_right: NDArray[np.int32], disparity: NDArray[np.int32]) -> None:
     """Take the cheapest match of every pixel that is unique and that the right pixel answers, the first of equals."""
     height, width, matches = totals.shape
     for j in range(height):
@@ -176,7 +176,7 @@ def _choose(totals: Costs, best_of_right: NDArray[np.int32], found: NDArray[np.i
             inside = 0 < best < matches - 1
             answered = abs(best_of_right[i + best] % _KEYS - best) <= _LARGEST_LEFT_RIGHT_DIFFERENCE
             if inside and answered and _is_unique(totals[j, i], best):
-                found[j, i] = (LARGEST_DISPARITY - best) * PARTS - _fraction(totals, j, i, best)
+                disparity[j, i] = (LARGEST_DISPARITY - best) * PARTS - _fraction(totals, j, i, best)
 
 
 @kernel
@@ -213,24 +213,24 @@ _RADIUS = METHOD.median_width_px // 2
 _NEIGHBOURHOOD = (2 * _RADIUS + 1) ** 2
 
 
-def median_of_neighbours(found: DisparityMap) -> DisparityMap:
+def median_of_neighbours(disparity: DisparityMap) -> DisparityMap:
     """Replace every disparity by the lower median of those found in its square neighbourhood; gaps (0) stay gaps."""
-    smoothed = np.zeros_like(found)
-    _write_medians(found, np.empty(_NEIGHBOURHOOD, np.int32), smoothed)
+    smoothed = np.zeros_like(disparity)
+    _write_medians(disparity, np.empty(_NEIGHBOURHOOD, np.int32), smoothed)
     return smoothed
 
 
 @large_kernel
-def _write_medians(found: DisparityMap, ordered: DisparityMap, smoothed: DisparityMap) -> None:
-    height, width = found.shape
+def _write_medians(disparity: DisparityMap, ordered: DisparityMap, smoothed: DisparityMap) -> None:
+    height, width = disparity.shape
     for j in range(height):
         for i in range(width):
-            if found[j, i] == 0:
+            if disparity[j, i] == 0:
                 continue
             count = 0
             for row in range(max(0, j - _RADIUS), min(height, j + _RADIUS + 1)):
                 for column in range(max(0, i - _RADIUS), min(width, i + _RADIUS + 1)):
-                    value = found[row, column]
+                    value = disparity[row, column]
                     if value == 0:
                         continue
                     k = count

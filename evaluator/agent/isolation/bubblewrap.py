@@ -131,8 +131,8 @@ def find_program() -> Path:
         if not os.access(named, os.X_OK):
             raise SandboxFailed(f"VITAC_BWRAP names {named}, which is not a program; {_INSTALL}.")
         return Path(named)
-    found = shutil.which("bwrap")
-    candidates = [Path(found)] if found else []
+    program = shutil.which("bwrap")
+    candidates = [Path(program)] if program else []
     candidates += [folder / ".system" / "bin" / "bwrap" for folder in Path(__file__).resolve().parents[:5]]
     for candidate in candidates:
         if os.access(candidate, os.X_OK):

@@ -246,7 +246,7 @@ def _remove(folder: Path) -> bool:
 
 def _read_number(name: str, content: str) -> int:
     for line in content.splitlines():
-        found, _, value = line.partition(" ")
-        if found == name:
+        name_read, _, value = line.partition(" ")
+        if name_read == name:
             return int(value)
     return 0

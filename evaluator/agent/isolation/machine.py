@@ -39,14 +39,14 @@ class Requirement:
 
 def requirements() -> list[Requirement]:
     """Look for everything; nothing is started but bubblewrap, with a program that does nothing."""
-    found = [_bubblewrap(), _seccomp(), *_programs(), _memory(), _control_group(), _frozen_copies(), _gvisor()]
-    if found[0].is_met:
-        found.append(_namespaces())
+    needed = [_bubblewrap(), _seccomp(), *_programs(), _memory(), _control_group(), _frozen_copies(), _gvisor()]
+    if needed[0].is_met:
+        needed.append(_namespaces())
     is_user = bubblewrap.current_user_isolation() is UserIsolation.USER_NAMESPACE
-    found.append(limits_of_namespaces(("user", *_NAMESPACES) if is_user else _NAMESPACES))
+    needed.append(limits_of_namespaces(("user", *_NAMESPACES) if is_user else _NAMESPACES))
     if is_user:
-        found += user_namespaces()
-    return [*found, *subsystem_for_windows(platform.release())]
+        needed += user_namespaces()
+    return [*needed, *subsystem_for_windows(platform.release())]
 
 
 def explain_no_namespaces() -> str:
@@ -169,8 +169,8 @@ def _programs() -> list[Requirement]:
     if bubblewrap.current_user_isolation() is UserIsolation.ROOT:
         names.append("setpriv")
     needed = [_program(name, Path("/usr/bin", name), is_needed=True) for name in names]
-    found = shutil.which("nsenter")
-    return [*needed, _program("nsenter", Path(found) if found else None, is_needed=False)]
+    program = shutil.which("nsenter")
+    return [*needed, _program("nsenter", Path(program) if program else None, is_needed=False)]
 
 
 def _program(name: str, path: Path | None, *, is_needed: bool) -> Requirement:
@@ -215,10 +215,10 @@ def _control_group() -> Requirement:
 
 def _gvisor() -> Requirement:
     try:
-        found, remedy = str(gvisor.find_program()), ""
+        program, remedy = str(gvisor.find_program()), ""
     except SandboxFailed as error:
-        found, remedy = "none; only stages that ask for isolation vm need it", str(error)
-    return Requirement(name="gVisor", is_met=not remedy, is_needed=False, found=found, remedy=remedy)
+        program, remedy = "none; only stages that ask for isolation vm need it", str(error)
+    return Requirement(name="gVisor", is_met=not remedy, is_needed=False, found=program, remedy=remedy)
 
 
 def _frozen_copies() -> Requirement:

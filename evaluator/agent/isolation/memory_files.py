@@ -257,12 +257,12 @@ def _file_system(folder: Path) -> str | None:
     """Return the kind of file system that a folder is on; None where there is no such folder."""
     if not folder.is_dir():
         return None
-    place, found = "", None
+    place, innermost = "", None
     for line in Path("/proc/self/mounts").read_text().splitlines():
         _, mounted, kind, *_ = line.split(" ")
         if folder.resolve().is_relative_to(mounted) and len(mounted) >= len(place):
-            place, found = mounted, kind
-    return found
+            place, innermost = mounted, kind
+    return innermost
 
 
 _COPY_SUBMISSION: Final = """

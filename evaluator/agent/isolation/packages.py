@@ -156,5 +156,5 @@ def package_folders() -> tuple[Path, ...]:
 
 def _folders_below(prefix: Path) -> list[Path]:
     """Return where packages are installed below a prefix; a folder that is a link is hidden where it leads."""
-    found = (folder for pattern in _FOLDERS_OF_PACKAGES for folder in prefix.glob(pattern) if folder.is_dir())
-    return sorted({folder.resolve() for folder in found if folder.resolve().is_relative_to(prefix)})
+    folders = (folder for pattern in _FOLDERS_OF_PACKAGES for folder in prefix.glob(pattern) if folder.is_dir())
+    return sorted({folder.resolve() for folder in folders if folder.resolve().is_relative_to(prefix)})

@@ -229,8 +229,8 @@ def installed_packages(*further: str) -> list[str]:
     import importlib.metadata  # late: it would make every copy of the policy slower to start
 
     installed = importlib.metadata.distributions(path=[*sys.path, *further])
-    found = {(each.metadata["Name"] or "").lower(): each.version for each in installed}
-    return [f"{name} {found[name]}" for name in sorted(found.keys() - {"", "vitac-arena"})]
+    versions = {(each.metadata["Name"] or "").lower(): each.version for each in installed}
+    return [f"{name} {versions[name]}" for name in sorted(versions.keys() - {"", "vitac-arena"})]
 
 
 def load(entry_point: str, submission: str) -> Any:

@@ -37,9 +37,9 @@ def explain_not_resimulated(log: TextLog, script: Script, task: Task) -> Impossi
         )
     for number, episode in enumerate(log.episodes, start=1):
         shown = starts[number - 1].offset if number <= len(starts) else ()
-        found = _explain_episode_not_resimulated(number, episode, task, shown, must_show=script.logs_offsets)
-        if found:
-            return found
+        impossibility = _explain_episode_not_resimulated(number, episode, task, shown, must_show=script.logs_offsets)
+        if impossibility:
+            return impossibility
     if len(log.episodes) < len(task.episodes):
         first = len(log.episodes) + 1
         message = f"Expected {len(task.episodes)} tests, got {len(log.episodes)}; the first missing one is {first}."
@@ -60,30 +60,30 @@ def _explain_episode_not_resimulated(
 ) -> Impossibility | None:
     place = f"Test {number}"
 
-    def found(reason: ImpossibleReason, message: str) -> Impossibility:
+    def impossible(reason: ImpossibleReason, message: str) -> Impossibility:
         return Impossibility(reason=reason, message=message, episode=number)
 
     if number > len(task.episodes):
-        return found(ImpossibleReason.NOT_IN_LIST, f"{place} is not in the list of {len(task.episodes)} tests.")
+        return impossible(ImpossibleReason.NOT_IN_LIST, f"{place} is not in the list of {len(task.episodes)} tests.")
     if episode.number != number:
-        return found(
+        return impossible(
             ImpossibleReason.EPISODE_MISSING, f"{place}: expected its number in the log, got {episode.number}."
         )
     if episode.initial_offset is None and must_show:
-        return found(ImpossibleReason.OTHER_START, f"{place}: expected the start {shown}, got none.")
+        return impossible(ImpossibleReason.OTHER_START, f"{place}: expected the start {shown}, got none.")
     if episode.initial_offset is not None and not is_printed(episode.initial_offset, shown):
         message = f"{place}: expected the start {shown}, got {episode.initial_offset!s:.80}."
-        return found(ImpossibleReason.OTHER_START, message)
+        return impossible(ImpossibleReason.OTHER_START, message)
     if len(episode.steps) > task.max_steps:
         message = f"{place} has {len(episode.steps)} env steps, expected at most {task.max_steps}."
-        return found(ImpossibleReason.TOO_MANY_STEPS, message)
+        return impossible(ImpossibleReason.TOO_MANY_STEPS, message)
     if not episode.steps or any(len(step.action) != len(task.actions) for step in episode.steps):
         names = ", ".join(row.name for row in task.actions)
-        return found(
+        return impossible(
             ImpossibleReason.WRONG_ACTION, f"{place}: expected actions [{names}], got none or one of another size."
         )
     outside = out_of_bounds(task, _actions(episode, task))
-    return found(ImpossibleReason.WRONG_ACTION, f"{place} {outside}") if outside else None
+    return impossible(ImpossibleReason.WRONG_ACTION, f"{place} {outside}") if outside else None
 
 
 def _actions(episode: TextEpisode, task: Task) -> NDArray[np.float32]:

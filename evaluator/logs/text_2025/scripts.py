@@ -92,12 +92,12 @@ class Script(StrictModel):
             hole_top_mm: which of `hole_tops_mm`; the first by default.
         """
         lengths = {"repeat": self.repeats, "offset": len(self.offsets), "shape": len(self.shapes)}
-        found = []
+        printed = []
         for values in product(*(range(lengths[loop]) for loop in self.loops)):
             index = dict(zip(self.loops, values, strict=True))
             offset = self.offsets[index["offset"]]
             shape = index["shape"] if "shape" in index else int(offset[-1])
-            found.append(
+            printed.append(
                 PrintedStart(
                     shape_index=shape,
                     shape=self.shapes[shape],
@@ -108,7 +108,7 @@ class Script(StrictModel):
                     true_offset=self._true(offset, hole_top_mm),
                 )
             )
-        return found
+        return printed
 
     def era(self, hole_top_mm: float | None) -> str | None:
         """Return in which books the hole's top had this height; None where there is one era only."""

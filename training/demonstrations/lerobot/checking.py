@@ -98,14 +98,14 @@ def _read_info(folder: Path) -> dict[str, Any]:
 
 def _read_json(folder: Path, name: Path) -> dict[str, Any]:
     try:
-        found = json.loads((folder / name).read_text())
+        content = json.loads((folder / name).read_text())
     except OSError as error:
         raise _Broken(name, f"cannot be read ({error.strerror}), expected a LeRobotDataset.") from error
     except ValueError as error:
         raise _Broken(name, f"is no JSON ({error}).") from error
-    if not isinstance(found, dict):
-        raise _Broken(name, f"is a {type(found).__name__}, expected an object.")
-    return found
+    if not isinstance(content, dict):
+        raise _Broken(name, f"is a {type(content).__name__}, expected an object.")
+    return content
 
 
 def _list_files(folder: Path, info: Mapping[str, Any]) -> list[_File]:
@@ -122,15 +122,15 @@ def _list_files(folder: Path, info: Mapping[str, Any]) -> list[_File]:
         raise _Broken(
             INFO, f"total_frames is {info['total_frames']}, but the episodes have {frames}.", "Correct the number."
         )
-    found: list[_File] = []
+    listed: list[_File] = []
     row = 0
     for number in sorted({file for file, _ in described}):
         episodes = [index for index, (file, _) in enumerate(described) if file == number]
         lengths = tuple(described[index][1] for index in episodes)
         name = format_path(info["data_path"], number, chunk_size=size)
-        found.append(_File(name=name, number=number, first_episode=episodes[0], first_row=row, lengths=lengths))
+        listed.append(_File(name=name, number=number, first_episode=episodes[0], first_row=row, lengths=lengths))
         row += sum(lengths)
-    return found
+    return listed
 
 
 def _describe_episodes(folder: Path, version: Version, chunk_size: int) -> Iterator[tuple[int, int]]:
@@ -221,8 +221,8 @@ def _values(file: _File, name: str, column: Any, feature: Mapping[str, Any]) -> 
             f"column {name!r} has {len(values) - values.null_count} numbers, expected {numbers} in each of {rows} rows."
         )
         raise _Broken(file.name, problem)
-    found: NDArray[Any] = values.to_numpy(zero_copy_only=False).reshape(rows, numbers)
-    return found
+    array: NDArray[Any] = values.to_numpy(zero_copy_only=False).reshape(rows, numbers)
+    return array
 
 
 def _check_values(

@@ -239,10 +239,10 @@ def _describe(values: NDArray[Any], feature: Feature) -> dict[str, NDArray[Any]]
 
 
 def _summarize(values: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    found = {"min": values.min(axis=0), "max": values.max(axis=0)}
-    found |= {"mean": values.mean(axis=0), "std": values.std(axis=0)}
+    summary = {"min": values.min(axis=0), "max": values.max(axis=0)}
+    summary |= {"mean": values.mean(axis=0), "std": values.std(axis=0)}
     quantiles = np.quantile(values, list(_QUANTILES.values()), axis=0)
-    return found | dict(zip(_QUANTILES, quantiles, strict=True))
+    return summary | dict(zip(_QUANTILES, quantiles, strict=True))
 
 
 class Total:
@@ -255,32 +255,32 @@ class Total:
 
     def add(self, episode: Statistics) -> None:
         """Take an episode into account."""
-        for name, found in episode.items():
-            count = int(found["count"][0])
-            parts = {quantile: found[quantile] for quantile in _QUANTILES} | {"mean": found["mean"]}
-            parts["square"] = found["std"] ** 2 + found["mean"] ** 2
+        for name, summary in episode.items():
+            count = int(summary["count"][0])
+            parts = {quantile: summary[quantile] for quantile in _QUANTILES} | {"mean": summary["mean"]}
+            parts["square"] = summary["std"] ** 2 + summary["mean"] ** 2
             if name not in self._sums:
                 self._count[name] = 0
                 self._sums[name] = {part: np.zeros_like(value) for part, value in parts.items()}
-                self._limits[name] = {"min": found["min"], "max": found["max"]}
+                self._limits[name] = {"min": summary["min"], "max": summary["max"]}
             self._count[name] += count
             for part, value in parts.items():
                 self._sums[name][part] = self._sums[name][part] + count * value
             limits = self._limits[name]
-            limits["min"] = np.minimum(limits["min"], found["min"])
-            limits["max"] = np.maximum(limits["max"], found["max"])
+            limits["min"] = np.minimum(limits["min"], summary["min"])
+            limits["max"] = np.maximum(limits["max"], summary["max"])
 
     def result(self) -> Statistics:
         """Return the statistics of all."""
-        found = {}
+        summaries = {}
         for name, sums in self._sums.items():
             means = {part: value / self._count[name] for part, value in sums.items()}
             square = means.pop("square")
             std = np.sqrt(np.maximum(square - means["mean"] ** 2, 0.0))
-            found[name] = {**self._limits[name], **means, "std": std, "count": np.array([self._count[name]])}
-        return found
+            summaries[name] = {**self._limits[name], **means, "std": std, "count": np.array([self._count[name]])}
+        return summaries
 
 
 def as_lists(statistics: Statistics) -> dict[str, dict[str, Any]]:
     """Return the same as JSON values."""
-    return {name: {key: value.tolist() for key, value in found.items()} for name, found in statistics.items()}
+    return {name: {key: value.tolist() for key, value in summary.items()} for name, summary in statistics.items()}

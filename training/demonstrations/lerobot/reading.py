@@ -57,11 +57,11 @@ def read_lerobot(folder: Path) -> tuple[Source, Iterator[Demonstration]]:
 
 def _read_all(folder: Path, origin: Origin) -> Iterator[Demonstration]:
     episodes = groupby(_rows(folder), key=itemgetter("episode_index"))
-    found = 0
+    count = 0
     for stored, (_, rows) in zip(origin.episodes, episodes, strict=False):
-        found += 1
+        count += 1
         yield _demonstration(stored, list(rows))
-    if found < len(origin.episodes) or next(episodes, None) is not None:
+    if count < len(origin.episodes) or next(episodes, None) is not None:
         raise NotOurs(f"{folder} has other episodes in its table than in {ORIGIN}; see `vitac data check {folder}`.")
 
 

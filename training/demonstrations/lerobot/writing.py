@@ -185,9 +185,9 @@ class _Writer:
     def add(self, frames: Frames) -> None:
         """Add an episode."""
         values = self._values(frames)
-        found = describe_episode(values, self._features)
-        self._total.add(found)
-        self._episodes.append({**self._place(len(frames.actions)), "statistics": found})
+        statistics = describe_episode(values, self._features)
+        self._total.add(statistics)
+        self._episodes.append({**self._place(len(frames.actions)), "statistics": statistics})
         self._file.append({feature.name: make_column(values[feature.name], feature) for feature in self._columns})
         for camera in self._cameras:
             self._video(camera).add(values[camera.name])
@@ -278,13 +278,13 @@ class _Writer:
         """Write the descriptions of version 2.1."""
         own = ("episode_index", "tasks", "length")
         rows = [{name: episode[name] for name in own} for episode in self._episodes]
-        found = [
+        lines = [
             {"episode_index": episode["episode_index"], "stats": as_lists(episode["statistics"])}
             for episode in self._episodes
         ]
         meta = self._folder / "meta"
         _write_json_lines(meta / "episodes.jsonl", rows)
-        _write_json_lines(meta / "episodes_stats.jsonl", found)
+        _write_json_lines(meta / "episodes_stats.jsonl", lines)
         _write_json_lines(meta / "tasks.jsonl", [{"task_index": 0, "task": self._task}])
 
     def _write_episodes(self) -> None:

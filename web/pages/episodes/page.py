@@ -268,8 +268,8 @@ async def _ask_for_playback(request: Request, viewer: Viewer | None, place: Epis
         await asyncio.to_thread(site.playbacks.note, address, "playbacks from one address")
 
     def ask_for_it(session: Session) -> PlaybackView:
-        found = _find(session, by, place)
-        return asking.playback_view(session, settings, asking.ask(session, settings, by, found))
+        episode = _find(session, by, place)
+        return asking.playback_view(session, settings, asking.ask(session, settings, by, episode))
 
     return await site.ask(ask_for_it)
 
@@ -278,8 +278,8 @@ async def _read_file(request: Request, viewer: Viewer | None, place: EpisodeAddr
     services, by = get_site(request).services, get_principal(viewer)
 
     def read(session: Session) -> str:
-        found = _find(session, by, place)
-        return asking.find_digest(session, found, file)
+        episode = _find(session, by, place)
+        return asking.find_digest(session, episode, file)
 
     digest = await get_site(request).ask(read)
     return await asyncio.to_thread(work.read_file, services.database, services.blobs, digest)
@@ -289,9 +289,10 @@ def _find(session: Session, by: Principal, place: EpisodeAddress) -> EpisodeResu
     return asking.find_episode(session, by, place.submission_id, place.task, place.number, practice=place.practice)
 
 
-def _state(found: PlaybackView) -> JSONResponse:
+def _state(playback: PlaybackView) -> JSONResponse:
     return JSONResponse(
-        found.model_dump(mode="json", include={"state", "env_steps", "env_steps_played"}) | {"text": progress(found)},
+        playback.model_dump(mode="json", include={"state", "env_steps", "env_steps_played"})
+        | {"text": progress(playback)},
         status_code=HTTPStatus.OK,
         headers={"Cache-Control": "no-store"},
     )

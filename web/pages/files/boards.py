@@ -34,7 +34,7 @@ async def leaderboard(request: Request) -> Response:
 async def logs(request: Request) -> Response:
     """Return the verified logs of a track, a row for each, by task and rank."""
     asked = AskedBoard.read(request, logs=True)
-    found = await _log_boards(request, asked)
+    boards = await _log_boards(request, asked)
     rows = (
         (
             board.kind,
@@ -44,7 +44,7 @@ async def logs(request: Request) -> Response:
             entry.copy_of.team if entry.copy_of else None,
             entry.copy_of.episodes if entry.copy_of else None,
         )
-        for board in found.boards
+        for board in boards.boards
         for entry in board.entries
     )
     return csv_file(_name(asked, "logs"), LOG_COLUMNS, rows)
@@ -53,7 +53,7 @@ async def logs(request: Request) -> Response:
 async def text_logs(request: Request) -> Response:
     """Return the 2025 text logs of a track beside their claims, newest first."""
     asked = AskedBoard.read(request, logs=True)
-    found = await _log_boards(request, asked)
+    boards = await _log_boards(request, asked)
     rows = (
         (
             log.team,
@@ -67,7 +67,7 @@ async def text_logs(request: Request) -> Response:
             log.submitted_at.isoformat(),
             log.evaluator_version,
         )
-        for log in found.text_logs
+        for log in boards.text_logs
     )
     return csv_file(_name(asked, "text-logs"), TEXT_LOG_COLUMNS, rows)
 

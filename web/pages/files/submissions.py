@@ -149,32 +149,32 @@ async def _pages(site: Site, by: Principal, page: SubmissionListView) -> AsyncIt
     """Yield the file page by page: there may be many thousands of submissions."""
     yield csv_text([LIST_COLUMNS])
     while True:
-        yield csv_text(row for found in page.items for row in _list_rows(found))
+        yield csv_text(row for item in page.items for row in _list_rows(item))
         if page.next_before is None:
             return
         page = await _list(site, by, page.next_before)
 
 
-def _list_rows(found: SubmissionView) -> Rows:
-    evaluation = found.evaluation
+def _list_rows(item: SubmissionView) -> Rows:
+    evaluation = item.evaluation
     scores = {score.task: score for score in evaluation.scores}
     progress = {part.task: part for part in evaluation.progress.tasks}
-    for task in found.tasks:
+    for task in item.tasks:
         score, part = scores.get(task), progress.get(task)
         yield (
-            found.id,
-            found.name,
-            found.team.name,
-            found.kind,
-            found.track,
-            found.stage,
+            item.id,
+            item.name,
+            item.team.name,
+            item.kind,
+            item.track,
+            item.stage,
             task,
             evaluation.state,
-            found.log.verdict if found.log else None,
+            item.log.verdict if item.log else None,
             part.episodes_done if part else None,
             part.episodes_total if part else None,
             score.success_rate if score else None,
             score.mean_steps if score else None,
-            found.submitted_at.isoformat(),
-            found.digest,
+            item.submitted_at.isoformat(),
+            item.digest,
         )

@@ -141,8 +141,8 @@ def _draw_ranks(site: Site, board: LeaderboardView, ranks: Sequence[TeamRanksVie
     def make() -> Figure:
         return ranks_by_date("ranks", "Rank against date", ranks, board.generated_at)
 
-    found: Figure = site.plots.get((board.track, board.task, board.revision, "ranks"), make)
-    return found
+    figure: Figure = site.plots.get((board.track, board.task, board.revision, "ranks"), make)
+    return figure
 
 
 def _measure_columns(board: LeaderboardView) -> tuple[Column, ...]:
@@ -218,8 +218,8 @@ def _dates(site: Site, board: LeaderboardView, own_names: Collection[str]) -> Fi
         ]
         return values_by_date("dates", f"{ranked_by.title} against date", points, ranked_by)
 
-    found: Figure = site.plots.get((board.track, board.task, board.revision, own), make)
-    return found
+    figure: Figure = site.plots.get((board.track, board.task, board.revision, own), make)
+    return figure
 
 
 TEXT_LOGS = "text-logs"
@@ -233,17 +233,17 @@ async def logs(request: Request) -> Response:
     paged = partial(board_page, request, asked.address(), own_names=own_names)
 
     def read(session: Session) -> dict[str, Any]:
-        found = shown_log_boards(session, by, track.name, stage=asked.stage, competition=asked.competition).view
+        boards = shown_log_boards(session, by, track.name, stage=asked.stage, competition=asked.competition).view
         shown = {
             (board.kind, board.task): paged(board.entries, section=f"{board.kind}s-{board.task}")
-            for board in found.boards
+            for board in boards.boards
         }
-        text_logs = paged(found.text_logs, section=TEXT_LOGS)
+        text_logs = paged(boards.text_logs, section=TEXT_LOGS)
         listed = [entry.submission_id for board in shown.values() for entry in board.entries]
         listed += [entry.submission_id for entry in text_logs.entries]
-        around = read_surroundings(session, site, track, asked, shown_stage=found.stage)
+        around = read_surroundings(session, site, track, asked, shown_stage=boards.stage)
         public = public_among(session, listed)
-        return {"found": found, "shown": shown, "text_logs": text_logs, "public": public, **around}
+        return {"found": boards, "shown": shown, "text_logs": text_logs, "public": public, **around}
 
     values = await site.read(read)
     boards = (values["text_logs"], *values["shown"].values())

@@ -82,17 +82,17 @@ def board_page(
     """
     parameter = f"page-{section}" if section else "page"
     search = BoardSearch.read(request.query_params)
-    found = search.find(entries)
+    matching = search.find(entries)
     size = SECTION_ENTRIES if section else PAGE_ENTRIES
-    pages = max(1, -(-len(found) // size))
+    pages = max(1, -(-len(matching) // size))
     number = min(pages, max(1, _whole(request.query_params.get(parameter, "1"))))
     place = next((place for place, entry in enumerate(entries) if entry.team in own_names), None)
     return BoardPage(
-        entries=found[(number - 1) * size : number * size],
+        entries=matching[(number - 1) * size : number * size],
         number=number,
         pages=pages,
         search=search,
-        found=len(found),
+        found=len(matching),
         total=len(entries),
         own=None if place is None else entries[place],
         own_page=1 if place is None else place // size + 1,

@@ -88,11 +88,11 @@ def track_tabs(
 
 def competition_tabs(session: Session, shown: str | None, track: str, page_of_track: str = "") -> tuple[Tab, ...]:
     """Return the same boards of every competition that holds a track; empty if there is only one."""
-    found = [one for one in competition_list_view(session).items if track in one.tracks]
-    current = shown or (found[0].name if found else None)
+    holding = [one for one in competition_list_view(session).items if track in one.tracks]
+    current = shown or (holding[0].name if holding else None)
     return _several(
         Tab(title=one.title, target=board_address(one.name, track) + page_of_track, current=one.name == current)
-        for one in found
+        for one in holding
     )
 
 

@@ -28,31 +28,31 @@ SHOWN = 20
 async def compare_pages(request: Request) -> Response:
     """Show the results that `?id=` names, one or several times, beside each other."""
     viewer = await get_viewer(request)
-    found = await _read(request, viewer)
-    names = list(_names(found.results))
+    compared = await _read(request, viewer)
+    names = list(_names(compared.results))
     return page(
         request,
         "comparison.html",
         viewer=viewer,
         section="",
-        found=found,
+        found=compared,
         names=names,
-        titles=_titles(found.results),
-        different=found.differing[:SHOWN],
-        beside=partial(_beside, found),
-        versions=sorted({result.evaluator_version for result in found.results}),
-        query="&".join(f"id={result.submission_id}" for result in found.results),
-        offered=await _offered(request, viewer, found) if len(found.results) < MAX_COMPARED else {},
+        titles=_titles(compared.results),
+        different=compared.differing[:SHOWN],
+        beside=partial(_beside, compared),
+        versions=sorted({result.evaluator_version for result in compared.results}),
+        query="&".join(f"id={result.submission_id}" for result in compared.results),
+        offered=await _offered(request, viewer, compared) if len(compared.results) < MAX_COMPARED else {},
     )
 
 
 async def compare_csv(request: Request) -> Response:
     """Return the episodes in which they differ as a file, with two columns for each result."""
-    found = await _read(request, await get_viewer(request))
-    columns = [f"{name} {what}" for name in _names(found.results) for what in ("outcome", "env steps")]
+    compared = await _read(request, await get_viewer(request))
+    columns = [f"{name} {what}" for name in _names(compared.results) for what in ("outcome", "env steps")]
     rows = (
         (one.task, one.episode, one.shape, *(cell for end in one.ends for cell in _cells(end)))
-        for one in found.differing
+        for one in compared.differing
     )
     return csv_file("comparison", ("task", "episode", "shape", *columns), rows)
 
@@ -69,10 +69,10 @@ async def compare_with(request: Request) -> Response:
     return RedirectResponse(f"{ADDRESS}?{'&'.join(f'id={one}' for one in ids)}", status_code=303)
 
 
-def _beside(found: ComparisonView, one: ComparedEpisodeView, place: int) -> str:
+def _beside(compared: ComparisonView, one: ComparedEpisodeView, place: int) -> str:
     """Return the query by which the page of an episode shows another result's beside it; empty where there is none."""
     other = next((n for n, end in enumerate(one.ends) if end is not None and n != place), None)
-    return "" if other is None else f"?beside={found.results[other].submission_id}:{one.episode}"
+    return "" if other is None else f"?beside={compared.results[other].submission_id}:{one.episode}"
 
 
 def _cells(end: ComparedEndView | None) -> tuple[object, object]:
@@ -98,11 +98,11 @@ def _titles(results: Sequence[ComparedResultView]) -> dict[str, str]:
     return {name: task.title for track in tracks for name, task in load_track(track).tasks.items()}
 
 
-async def _offered(request: Request, viewer: Viewer | None, found: ComparisonView) -> dict[UUID, str]:
+async def _offered(request: Request, viewer: Viewer | None, compared: ComparisonView) -> dict[UUID, str]:
     """Return what can be added: the visitor's newest results of the track, and the first of its leaderboard."""
-    if not found.results:
+    if not compared.results:
         return {}
-    track, taken = found.results[0].track, {result.submission_id for result in found.results}
+    track, taken = compared.results[0].track, {result.submission_id for result in compared.results}
     site, by = get_site(request), get_principal(viewer)
 
     def read(session: Session) -> dict[UUID, str]:

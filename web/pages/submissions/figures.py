@@ -38,7 +38,7 @@ class TaskFigures:
 
 def figures(
     site: Site,
-    found: SubmissionView,
+    view: SubmissionView,
     titles: dict[str, str],
     episodes: Sequence[EpisodeView],
     past: Sequence[PastResultView],
@@ -47,15 +47,15 @@ def figures(
 
     The first never change for somebody who sees the same episodes; the others change with the next result of the team.
     """
-    if found.evaluation.state is not EvaluationState.COMPLETED:
+    if view.evaluation.state is not EvaluationState.COMPLETED:
         return {"plots": (), "history": ()}
     reached = tuple((result.task, result.submission_id, result.value) for result in past)
     return {
         "plots": site.plots.get(
-            (found.evaluation.id, len(episodes)),
-            lambda: [_draw_task(found, score, titles[score.task], episodes) for score in found.evaluation.scores],
+            (view.evaluation.id, len(episodes)),
+            lambda: [_draw_task(view, score, titles[score.task], episodes) for score in view.evaluation.scores],
         ),
-        "history": site.plots.get((found.id, reached), lambda: _histories(found, titles, past)),
+        "history": site.plots.get((view.id, reached), lambda: _histories(view, titles, past)),
     }
 
 
@@ -65,15 +65,15 @@ def list_figures(drawn: Mapping[str, Any]) -> list[Figure]:
     return [*(each for task in tasks for each in (*task.maps, *task.figures, *task.draws)), *drawn["history"]]
 
 
-def _draw_task(found: SubmissionView, score: TaskScoreView, title: str, episodes: Sequence[EpisodeView]) -> TaskFigures:
+def _draw_task(view: SubmissionView, score: TaskScoreView, title: str, episodes: Sequence[EpisodeView]) -> TaskFigures:
     ends = [end for end in episodes if end.task == score.task]
     # A stage's own list has other starts than the track file, from which the map takes them.
-    known = found.evaluation.commitment is None
+    known = view.evaluation.commitment is None
     return TaskFigures(
         title=title,
-        maps=offset_maps(found.track, score.task, {end.episode: end for end in ends}) if known else (),
+        maps=offset_maps(view.track, score.task, {end.episode: end for end in ends}) if known else (),
         outcomes=count_outcomes(ends),
-        draws=success_by_draw(found.track, score.task, ends),
+        draws=success_by_draw(view.track, score.task, ends),
         figures=(success_by_shape(score), *_figures_of_episodes(score.task, ends)),
     )
 
@@ -83,17 +83,17 @@ def _figures_of_episodes(task: str, ends: Sequence[EpisodeView]) -> list[Figure]
     return [*([steps_histogram(task, ends)] if ends else []), *([forces] if forces else [])]
 
 
-def _histories(found: SubmissionView, titles: dict[str, str], past: Sequence[PastResultView]) -> list[Figure]:
+def _histories(view: SubmissionView, titles: dict[str, str], past: Sequence[PastResultView]) -> list[Figure]:
     """Return the history of the team in each task in which it has more than one result."""
     shown = []
-    for task in found.tasks:
+    for task in view.tasks:
         results = [(result, result.value) for result in past if result.task == task and result.value is not None]
         points = [
             DatedValue(
                 name=result.submission_name,
                 at=result.submitted_at,
                 value=value,
-                own=result.submission_id == found.id,
+                own=result.submission_id == view.id,
             )
             for result, value in results
         ]

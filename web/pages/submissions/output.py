@@ -17,25 +17,25 @@ async def output(request: Request) -> Response:
     submission_id = as_id(request.path_params["submission_id"])
     task, after = request.query_params.get("task"), _number(request.query_params.get("after", "0"))
     settings = get_site(request).services.settings
-    found, shown = await get_site(request).ask(
+    view, shown = await get_site(request).ask(
         lambda session: (
             listing.get(session, settings, viewer.principal, submission_id),
             episode_outputs(session, viewer.principal, submission_id, task, after=after),
         )
     )
-    track, address = load_track(found.track), f"/submissions/{submission_id}/output"
+    track, address = load_track(view.track), f"/submissions/{submission_id}/output"
     return page(
         request,
         "output.html",
         viewer=viewer,
         section="/submissions",
-        submission=found,
+        submission=view,
         shown=shown,
         tabs=[
-            Tab(title=track.task(name).title, target=f"{address}?task={name}", current=name == (task or found.tasks[0]))
-            for name in found.tasks
+            Tab(title=track.task(name).title, target=f"{address}?task={name}", current=name == (task or view.tasks[0]))
+            for name in view.tasks
         ],
-        older=f"{address}?task={task or found.tasks[0]}&after={shown.next_after}",
+        older=f"{address}?task={task or view.tasks[0]}&after={shown.next_after}",
     )
 
 

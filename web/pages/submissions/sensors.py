@@ -78,8 +78,8 @@ async def sensor(request: Request) -> Response:
     beside = request.query_params.get("beside", "").strip()
     ids = [as_id(text) for text in (request.path_params["submission_id"], *([beside] if beside else ()))]
     shown = [await _shown_sensor(site, get_principal(viewer), submission_id) for submission_id in ids]
-    largest = _largest([found.view.figures for found in shown])
-    parts = [_part(number, found, largest) for number, found in enumerate(shown, start=1)]
+    largest = _largest([view.view.figures for view in shown])
+    parts = [_part(number, view, largest) for number, view in enumerate(shown, start=1)]
     reference = None if beside else _reference()
     drawn = [figure for part in parts for figure in part.figures]
     if plot := find_plot_file(request, drawn if reference is None else [*drawn, reference.figure]):
@@ -92,7 +92,7 @@ async def sensor(request: Request) -> Response:
         parts=parts,
         reference=reference,
         height_scale=HEIGHT_SCALE,
-        rows=_rows([found.view.figures for found in shown]),
+        rows=_rows([view.view.figures for view in shown]),
         beside=beside,
         player_script=player_script(),
     )
@@ -123,9 +123,9 @@ async def document(request: Request) -> Response:
     viewer = await require_viewer(request)
     submission_id = as_id(request.path_params["submission_id"])
     site = get_site(request)
-    found = await site.ask(lambda session: sensors.document(session, viewer.principal, submission_id))
-    content = await asyncio.to_thread(site.services.blobs.read, found.sha256)
-    return Response(content, headers=sensors.to_save(submission_id, found) | {"Cache-Control": "no-store"})
+    file = await site.ask(lambda session: sensors.document(session, viewer.principal, submission_id))
+    content = await asyncio.to_thread(site.services.blobs.read, file.sha256)
+    return Response(content, headers=sensors.to_save(submission_id, file) | {"Cache-Control": "no-store"})
 
 
 async def _shown_sensor(site: Site, by: Principal, submission_id: UUID) -> ShownSensor:
@@ -162,7 +162,7 @@ def _reference() -> ReferenceOnPage:
 
 def _largest(figures: Sequence[SensorFigures | None]) -> tuple[float, float]:
     """Return the ends of the scales that all maps of the page share."""
-    maps = [found.touch.sensitivity for found in figures if found is not None]
+    maps = [of_gel.touch.sensitivity for of_gel in figures if of_gel is not None]
     return find_largest(*(drawn.normal_px_n for drawn in maps)), find_largest(*(drawn.shear_px_n for drawn in maps))
 
 
@@ -170,7 +170,7 @@ def _rows(figures: Sequence[SensorFigures | None]) -> list[tuple[str, ...]]:
     """Return the table of the figures: name and unit, the value of each sensor, and that of the reference gel."""
     reference = reference_figures()
     columns = [
-        {} if found is None else {row.name: row.value for row in make_rows(found, reference)} for found in figures
+        {} if of_gel is None else {row.name: row.value for row in make_rows(of_gel, reference)} for of_gel in figures
     ]
     return [
         (

@@ -39,21 +39,21 @@ class Shared:
     citation: Citation | None
 
 
-async def shared(request: Request, viewer: Viewer | None, found: SubmissionView, track: str) -> Shared:
+async def shared(request: Request, viewer: Viewer | None, view: SubmissionView, track: str) -> Shared:
     """Return how a submission of a track with that title is shared."""
-    is_complete = found.evaluation.state is EvaluationState.COMPLETED
+    is_complete = view.evaluation.state is EvaluationState.COMPLETED
     site = get_site(request)
-    address = f"{site.address(request)}/submissions/{found.id}"
+    address = f"{site.address(request)}/submissions/{view.id}"
     is_shown = (
         is_complete
-        and found.public
-        and found.id in await site.read(lambda session: public_pages.public_among(session, [found.id]))
+        and view.public
+        and view.id in await site.read(lambda session: public_pages.public_among(session, [view.id]))
     )
     return Shared(
         address=address,
-        may_change=viewer is not None and viewer.may_change(found.team.name),
+        may_change=viewer is not None and viewer.may_change(view.team.name),
         is_public=is_shown,
-        citation=cite(found, track, address) if is_complete else None,
+        citation=cite(view, track, address) if is_complete else None,
     )
 
 
@@ -62,10 +62,10 @@ async def preview(request: Request) -> Response:
     """Answer with the picture that a link to a public submission is shown with elsewhere; for everybody the same."""
     site, submission_id = get_site(request), as_id(request.path_params["submission_id"])
     detail = await site.read(lambda session: read_detail(session, site.services.settings, VISITOR, submission_id))
-    found, title = detail.submission, load_track(detail.submission.track).title
-    shown = f"{found.evaluation.id} {found.played_rank} {len(detail.episodes)} {found.name!r} {found.team.name!r}"
+    view, title = detail.submission, load_track(detail.submission.track).title
+    shown = f"{view.evaluation.id} {view.played_rank} {len(detail.episodes)} {view.name!r} {view.team.name!r}"
     picture = await asyncio.to_thread(
-        site.previews.get, shown, lambda: draw_preview(found, title, detail.episodes, site.preview_font)
+        site.previews.get, shown, lambda: draw_preview(view, title, detail.episodes, site.preview_font)
     )
     return answer(
         request,

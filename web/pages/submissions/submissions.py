@@ -64,15 +64,15 @@ async def submissions(request: Request) -> Response:
         listed = list_submissions(session, settings, viewer.principal, before=cursor)
         return listed, find_stills(session, viewer.principal, [item.id for item in listed.items])
 
-    found, stills = await get_site(request).read(read)
+    own_list, stills = await get_site(request).read(read)
     return page(
         request,
         "submissions.html",
         viewer=viewer,
         section="/submissions",
-        found=found,
+        found=own_list,
         stills=stills,
-        pictures={item.id: find_scene(known_task(item.track, item.tasks[0])) for item in found.items if item.tasks},
+        pictures={item.id: find_scene(known_task(item.track, item.tasks[0])) for item in own_list.items if item.tasks},
         no_picture=NO_SCENE,
     )
 
@@ -86,11 +86,11 @@ async def submission(request: Request) -> Response:
     except UnknownTrack:
         return await _page_of_removed_track(request, viewer)
     refresh = request.query_params.get("refresh") != "off"
-    found: SubmissionView = values["submission"]
-    stages = await get_site(request).read(lambda session: track_stages(session, found.track)) if found.stage else ()
-    by, is_complete = get_principal(viewer), found.evaluation.state is EvaluationState.COMPLETED
-    stills = await get_site(request).read(lambda session: list_stills(session, by, found.id)) if is_complete else ()
-    drawn = figures(get_site(request), found, values["titles"], values["episodes"], values["past"])
+    view: SubmissionView = values["submission"]
+    stages = await get_site(request).read(lambda session: track_stages(session, view.track)) if view.stage else ()
+    by, is_complete = get_principal(viewer), view.evaluation.state is EvaluationState.COMPLETED
+    stills = await get_site(request).read(lambda session: list_stills(session, by, view.id)) if is_complete else ()
+    drawn = figures(get_site(request), view, values["titles"], values["episodes"], values["past"])
     if plot := find_plot_file(request, list_figures(drawn)):
         return plot
     return page(
@@ -101,7 +101,7 @@ async def submission(request: Request) -> Response:
         refresh=refresh,
         is_known="known" in request.query_params and values["is_own"],
         **drawn,
-        stage_title=find_stage_title(stages, found.stage),
+        stage_title=find_stage_title(stages, view.stage),
         stills=_choose_stills(stills),
         **values,
     )
@@ -109,17 +109,17 @@ async def submission(request: Request) -> Response:
 
 def _choose_stills(stills: Sequence[StillView]) -> list[StillView]:
     """Return a success and a failure, where there are stills of them."""
-    found = {still.outcome is EpisodeOutcome.SUCCESS: still for still in reversed(stills)}
-    return [found[success] for success in (True, False) if success in found]
+    by_success = {still.outcome is EpisodeOutcome.SUCCESS: still for still in reversed(stills)}
+    return [by_success[success] for success in (True, False) if success in by_success]
 
 
 async def _page_of_removed_track(request: Request, viewer: Viewer | None) -> Response:
     """Show what is known of a submission whose track was removed."""
-    found = (await _read_detail(request, viewer)).submission
-    is_own = viewer is not None and viewer.may_see(found.team.name, found.competition)
+    view = (await _read_detail(request, viewer)).submission
+    is_own = viewer is not None and viewer.may_see(view.team.name, view.competition)
     section = "/submissions" if is_own else ""
-    active = found.evaluation.state not in TERMINAL_EVALUATION_STATES
-    shown: dict[str, Any] = {"submission": found, "is_own": is_own, "active": active, "sentence": TRACK_REMOVED}
+    active = view.evaluation.state not in TERMINAL_EVALUATION_STATES
+    shown: dict[str, Any] = {"submission": view, "is_own": is_own, "active": active, "sentence": TRACK_REMOVED}
     return page(request, "removed.html", viewer=viewer, section=section, status=HTTPStatus.GONE, **shown)
 
 
@@ -157,47 +157,47 @@ async def _read_detail(request: Request, viewer: Viewer | None) -> SubmissionDet
 
 async def _values(request: Request, viewer: Viewer | None) -> dict[str, Any]:
     detail = await _read_detail(request, viewer)
-    found = detail.submission
-    track = load_track(found.track)
+    view = detail.submission
+    track = load_track(view.track)
     listed = (await get_site(request).read(competition_list_view)).items
-    titles = {name: title_of_task(track, name) for name in (*found.tasks, *found.evaluation.counted_tasks)}
+    titles = {name: title_of_task(track, name) for name in (*view.tasks, *view.evaluation.counted_tasks)}
     return {
-        "is_own": viewer is not None and viewer.may_see(found.team.name, found.competition),
-        "organizes": viewer is not None and viewer.principal.organizes(found.competition or ""),
+        "is_own": viewer is not None and viewer.may_see(view.team.name, view.competition),
+        "organizes": viewer is not None and viewer.principal.organizes(view.competition or ""),
         "card": detail.card,
-        "shared": await shared(request, viewer, found, track.title),
-        "submission": found,
+        "shared": await shared(request, viewer, view, track.title),
+        "submission": view,
         "track": track,
-        "board": board_address(found.competition if len(listed) > 1 else None, found.track),
+        "board": board_address(view.competition if len(listed) > 1 else None, view.track),
         "board_query": board_query,
-        "competition": next((one for one in listed if one.name == found.competition and len(listed) > 1), None),
-        "takes_appeals": await get_site(request).read(lambda session: takes_appeals(session, found.competition)),
+        "competition": next((one for one in listed if one.name == view.competition and len(listed) > 1), None),
+        "takes_appeals": await get_site(request).read(lambda session: takes_appeals(session, view.competition)),
         "episodes": detail.episodes,
         "past": detail.past,
-        "active": found.evaluation.state not in TERMINAL_EVALUATION_STATES,
-        "took": seconds_taken(found),
-        "parts": [task_part(get_site(request), detail, name) for name in found.tasks],
-        "several": len(found.tasks) + len(found.missing_tasks) > 1,
+        "active": view.evaluation.state not in TERMINAL_EVALUATION_STATES,
+        "took": seconds_taken(view),
+        "parts": [task_part(get_site(request), detail, name) for name in view.tasks],
+        "several": len(view.tasks) + len(view.missing_tasks) > 1,
         "action_matches": detail.action_matches,
         "episodes_with_output": detail.episodes_with_output,
         "titles": titles,
-        "counted": [titles[name] for name in found.evaluation.counted_tasks],
-        "missing": [titles[name] for name in found.missing_tasks],
+        "counted": [titles[name] for name in view.evaluation.counted_tasks],
+        "missing": [titles[name] for name in view.missing_tasks],
     }
 
 
 def task_part(site: Site, detail: SubmissionDetail, task: str) -> TaskPart:
     """Return the part of the page for one task of a submission; the map of a complete evaluation is cached."""
-    found, evaluation = detail.submission, detail.submission.evaluation
+    view, evaluation = detail.submission, detail.submission.evaluation
 
     def make_map(ends: Sequence[EpisodeView], folder: str, *, known: bool) -> EpisodeMap:
         of_task = {end.episode: end for end in ends if end.task == task}
         make = partial(
             episode_map,
-            found.track,
+            view.track,
             task,
             of_task,
-            folder=f"/submissions/{found.id}/{folder}/{task}",
+            folder=f"/submissions/{view.id}/{folder}/{task}",
             known=known,
             has_ended=evaluation.state in TERMINAL_EVALUATION_STATES,
         )
@@ -211,13 +211,13 @@ def task_part(site: Site, detail: SubmissionDetail, task: str) -> TaskPart:
         practice_map=make_map(practice, "practice", known=True) if practice else None,
         progress=next((progress for progress in evaluation.progress.tasks if progress.task == task), None),
         score=next((score for score in evaluation.scores if score.task == task), None),
-        rank=found.task_ranks.get(task),
+        rank=view.task_ranks.get(task),
     )
 
 
-def seconds_taken(found: SubmissionView) -> float | None:
+def seconds_taken(view: SubmissionView) -> float | None:
     """Return the duration of the evaluation [s], or None before its end."""
-    evaluation = found.evaluation
+    evaluation = view.evaluation
     if evaluation.started_at is None or evaluation.finished_at is None:
         return None
     return (evaluation.finished_at - evaluation.started_at).total_seconds()

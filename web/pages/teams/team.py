@@ -45,12 +45,16 @@ async def team(request: Request) -> Response:
     by = viewer.principal
 
     def read(session: Session) -> tuple[OwnTeamView, list[TokenView], datetime | None]:
-        good = [tokens.token_view(found) for found in tokens.list_tokens(session, by) if found.revoked_at is None]
+        good = [tokens.token_view(token) for token in tokens.list_tokens(session, by) if token.revoked_at is None]
         return members.own_team_view(session, by, teams.own(session, by)), good, teams.find_lock_date(session)
 
-    found, good, locked_since = await get_site(request).ask(read)
+    own_view, good, locked_since = await get_site(request).ask(read)
     myself = next(
-        (one for one in found.members if one.id == by.member_id or (by.leads_team and one.role is MemberRole.CAPTAIN)),
+        (
+            one
+            for one in own_view.members
+            if one.id == by.member_id or (by.leads_team and one.role is MemberRole.CAPTAIN)
+        ),
         None,
     )
     return page(
@@ -58,7 +62,7 @@ async def team(request: Request) -> Response:
         "teams/team.html",
         viewer=viewer,
         section=ADDRESS,
-        found=found,
+        found=own_view,
         good=good,
         myself=myself,
         leads=by.leads_team,
@@ -71,9 +75,11 @@ async def data(request: Request) -> Response:
     """Download all data that the service stores about the team."""
     viewer = await require_viewer(request)
     by, settings = viewer.principal, get_site(request).services.settings
-    found = await get_site(request).ask(lambda session: team_data.export(session, settings, by, teams.own(session, by)))
+    exported = await get_site(request).ask(
+        lambda session: team_data.export(session, settings, by, teams.own(session, by))
+    )
     headers = {"Cache-Control": "no-store", "Content-Disposition": 'attachment; filename="team.json"'}
-    return Response(found.model_dump_json(indent=1), media_type="application/json", headers=headers)
+    return Response(exported.model_dump_json(indent=1), media_type="application/json", headers=headers)
 
 
 async def invite(request: Request) -> Response:
