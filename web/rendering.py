@@ -3,8 +3,7 @@
 Called by `site`.
 """
 
-from collections import Counter
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache, partial
@@ -16,7 +15,7 @@ from markupsafe import Markup
 from starlette.requests import Request
 from vitac.evaluator.episodes.records import EpisodeOutcome, counted_env_steps
 from vitac.server.cache import Cache
-from vitac.server.views.scores import TaskScoreView
+from vitac.server.views.scores import describe_twins
 
 from .headers import size
 
@@ -188,16 +187,6 @@ def number(count: int) -> str:
 def words(name: str) -> str:
     """Format an identifier as words: `peg-insertion` and `not_converged` as `peg insertion` and `not converged`."""
     return name.replace("_", " ").replace("-", " ")
-
-
-def describe_twins(scores: Iterable[TaskScoreView]) -> str:
-    """Say how many trials were played on twins; nothing where none was."""
-    twins, trials = Counter[str](), 0
-    for score in scores:
-        twins.update(score.twins)
-        trials += score.episodes
-    played = [f"{count} of {trials} trials on {twin}" for twin, count in sorted(twins.items())]
-    return f"Played on twins: {'; '.join(played)}." if played else ""
 
 
 def meaning(outcome: str) -> str:

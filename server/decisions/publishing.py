@@ -17,6 +17,7 @@ from ..errors import ProblemCode, ServiceError
 from ..transparency.log import ensure_key
 from ..views.competition import ArchiveView
 from ..views.leaderboards import LeaderboardEntryView, LeaderboardView
+from ..views.scores import describe_twins
 from .finishing import Winner, find_last_decision, make_boards, winners
 
 _COLUMNS = (
@@ -30,7 +31,7 @@ _COLUMNS = (
     "low",
     "high",
 )
-_MORE = ("mean_steps", "submission", "submitted_at", "list_kind", "result_hash", "evaluator_version")
+_MORE = ("mean_steps", "submission", "submitted_at", "list_kind", "result_hash", "evaluator_version", "twin_trials")
 """A spreadsheet runs a cell that begins with one of these as a formula, and a team's name may begin so."""
 _PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>{{ title }}</title>
@@ -62,6 +63,7 @@ flex-direction: column; justify-content: center; break-inside: avoid; }
 "%.1f"|format(100 * winner.success_rate) }} %{% endif %}{% if winner.total is not none %}; total {{
 "%.1f"|format(100 * winner.total) }} %{% endif %}{% if winner.note %}; {{ winner.note }}{% endif %}</p>
 {% if final_on %}<p>final since {{ final_on }}</p>{% endif %}
+{% if winner.submission in twins %}<p><strong>{{ twins[winner.submission] }}</strong></p>{% endif %}
 <p><small>{% if winner.result_hash %}result hash {{ winner.result_hash }}{% else %}evidence {{ winner.evidence
 }}{% endif %}</small></p>
 </section>
@@ -81,6 +83,9 @@ flex-direction: column; justify-content: center; break-inside: avoid; }
 {% for board in boards %}
 <h2>{{ names[board.track] }}, {{ stages[board.track, board.stage] }}</h2>
 <p>{{ board.ranking_rule }}</p>
+{% for entry in board.entries if entry.submission_id|string in twins %}
+<p><strong>{{ entry.team }}: {{ twins[entry.submission_id|string] }}</strong></p>
+{% endfor %}
 <table><thead><tr><th>Rank</th><th>Team</th><th>Success rate</th>
 <th>95 % interval</th><th>Mean env steps</th>
 {% for key in board.ranking.measures %}<th>{{ key.title }}</th>{% endfor %}</tr></thead>
@@ -158,6 +163,7 @@ def _row(board: LeaderboardView, entry: LeaderboardEntryView) -> list[object]:
         *(board.track, board.stage, entry.rank, *(entry.rank_range or (None, None)), entry.team, entry.success_rate),
         *(*entry.success_rate_interval, entry.mean_steps, str(entry.submission_id), entry.submitted_at.isoformat()),
         *(entry.list_kind, entry.result_hash, entry.evaluator_version),
+        sum(sum(score.twins.values()) for score in entry.scores),
     ]
 
 
@@ -177,6 +183,12 @@ def _page(
         boards=boards,
         final_on=final_on,
         stages=competition.stage_titles,
+        twins={
+            str(entry.submission_id): said
+            for board in boards
+            for entry in board.entries
+            if (said := describe_twins(entry.scores))
+        },
         certificates=certificates,
     )
 

@@ -9,6 +9,7 @@ Json = Mapping[str, Any]
 BOARD_COLUMNS = (
     "rank", "team", "submission", "success_rate", "interval_low", "interval_high", "mean_env_steps", "successes",
     "episodes", "submitted_at", "evaluator_version", "result_hash", "peak_force_n",
+    "twin_trials",
 )  # fmt: skip
 _FIELDS = (
     "mean_steps", "successes", "episodes", "submitted_at", "evaluator_version", "result_hash",
@@ -35,6 +36,7 @@ def ranked_cells(entry: Json) -> tuple[object, ...]:
         *entry["success_rate_interval"],
         *(entry[name] for name in _FIELDS),
         _peak_force_n(entry),
+        sum(sum(score["twins"].values()) for score in entry.get("scores", ())),
     )
 
 

@@ -1,5 +1,8 @@
 """Scores of tasks as they are shown."""
 
+from collections import Counter
+from collections.abc import Iterable
+
 from pydantic import Field
 from vitac.evaluator.scoring.score import ForceSummary
 
@@ -50,6 +53,16 @@ class TaskScoreView(TaskRateView):
         description="How many of the episodes were played on a twin, no hardware, by the twin's kind in words.",
     )
     result_hash: str = Field(description="The hash that `vitac evaluate` prints for the same evaluation.")
+
+
+def describe_twins(scores: Iterable[TaskScoreView]) -> str:
+    """Say how many trials were played on twins; nothing where none was."""
+    twins, trials = Counter[str](), 0
+    for score in scores:
+        twins.update(score.twins)
+        trials += score.episodes
+    played = [f"{count} of {trials} trials on {twin}" for twin, count in sorted(twins.items())]
+    return f"Played on twins: {'; '.join(played)}." if played else ""
 
 
 class PlayedScoreView(View):

@@ -22,7 +22,7 @@ from .formats import TableFormat, attached, table_file
 Rows = Iterable[tuple[object, ...]]
 SCORE_COLUMNS = (
     "task", "shape", "episodes", "successes", "success_rate", "interval_low", "interval_high", "mean_env_steps",
-    "peak_force_n",
+    "peak_force_n", "twin_trials",
 )  # fmt: skip
 FORCE_COLUMNS = (
     "peak_force_n", "p95_force_n", "impulse_n_s", "peak_gel_force_n", "p95_gel_force_n", "gel_impulse_n_s",
@@ -90,9 +90,10 @@ def _forces(forces: ContactForces | None) -> tuple[object, ...]:
 
 def _scores(detail: SubmissionDetail) -> Rows:
     for score in detail.submission.evaluation.scores:
-        yield score.task, None, *_rate(score), score.mean_steps, score.forces and score.forces.part.peak_n
+        forces, twins = score.forces and score.forces.part.peak_n, sum(score.twins.values())
+        yield score.task, None, *_rate(score), score.mean_steps, forces, twins
         for shape in score.shapes:
-            yield score.task, shape.shape, *_rate(shape), None, None
+            yield score.task, shape.shape, *_rate(shape), None, None, None
 
 
 def _rate(score: TaskScoreView | ShapeScoreView) -> tuple[object, ...]:

@@ -21,14 +21,14 @@ from vitac.server.views.leaderboards import (
     LeaderboardView,
     TeamRanksView,
 )
-from vitac.server.views.scores import TaskRateView, TaskScoreView
+from vitac.server.views.scores import TaskRateView, TaskScoreView, describe_twins
 
 from ...plots.axis import Figure
 from ...plots.dates import DatedValue, ranks_by_date, values_by_date
 from ...plots.delays import success_by_delay
 from ...plots.files import find_plot_file
 from ...plots.shake_up import draw_shake_up
-from ...rendering import Same, describe_twins, steps, words
+from ...rendering import Same, steps, words
 from ...site import Site, Viewer, get_principal, get_site, get_viewer, page
 from ..addresses import AskedBoard, board_address
 from .paging import BoardPage, board_page

@@ -46,6 +46,23 @@ def test_a_spreadsheet_runs_nothing_of_a_name(files: dict[str, str]) -> None:
     assert all(len(row["result_hash"]) == 64 for row in rows)
 
 
+def test_what_was_played_on_a_twin_says_so(database: Database) -> None:
+    content = make_competition(prizes=[{"place": "first", "amount": 2000}])
+    del content["tracks"][TRACK]["stages"][1]
+    with database.transaction() as session:
+        put_in_place(session, open_now(content))
+        for name, twins in (("Ants", {"a twin of class B": 3}), ("Bees", {})):
+            score = make_score(50 if twins else 20).model_copy(update={"twins": twins})
+            submit_scored(session, make_principal(session, name), name, {TASK: score})
+        files = result_files(session)
+    rows = list(csv.DictReader(files["results.csv"].splitlines()))
+    assert [(row["team"], row["twin_trials"]) for row in rows] == [("Ants", "3"), ("Bees", "0")]
+    sentence = "Played on twins: 3 of 100 trials on a twin of class B."
+    assert f"<strong>Ants: {sentence}</strong>" in files["results.html"]
+    assert files["certificates.html"].count(f"<strong>{sentence}</strong>") == 1
+    assert "Bees: Played" not in files["results.html"]
+
+
 @pytest.mark.parametrize("name", ["results.html", "certificates.html"])
 def test_pages_show_names_as_text(files: dict[str, str], name: str) -> None:
     assert "<script>" not in files[name]

@@ -45,3 +45,15 @@ def test_an_archive_of_nobody_says_so(site: SeededSite) -> None:
     with site.database.transaction() as session:
         finalize(session, CONSOLE)
     assert "Nobody took part" in site.visitor().get("/competition/archive").text
+
+
+def test_an_archive_has_what_its_board_was_ranked_by(site: SeededSite) -> None:
+    content = make_competition(prizes=PRIZES, ranking=["surface_diff_mm", "submitted_at"])
+    del content["tracks"]["track_1"]["stages"][1]
+    site.hold(open_now(content))
+    site.score("Wolves", "wolf", 200)
+    site.hold(moved(content, days=-90))
+    with site.database.transaction() as session:
+        finalize(session, CONSOLE)
+    html = site.visitor().get("/competition/archive").text
+    assert 'class="right">Surface [mm]</th>' in html
