@@ -25,7 +25,7 @@ def bent_over_theory(rng: np.random.Generator, poisson_ratio: float, across: int
         mesh=mesh, rotation=IDENTITY, translation_m=np.zeros(3), youngs_modulus_pa=modulus_pa,
         poisson_ratio=poisson_ratio,
     )  # fmt: skip
-    model = build_model((gel,), (), NodeLayout((gel,), ()), 0.1, ContactSettings(), SolverSettings())
+    model = build_model(NodeLayout((gel,), ()), 0.1, ContactSettings(), SolverSettings())
     system = new_newton_system(model.system, len(rest))
     for array in system:
         array[:] = 0

@@ -95,7 +95,7 @@ def trails(episode: dict[str, Any], meshes: Meshes) -> list[dict[str, float]]:
     scene = LockScene(start=start, meshes=meshes, settings=settings, clocks=clocks)
     grasped, oracle = scene.grasped, CutOffOracle(scene.grasped)
     points = key_control_points(shape)
-    corners = nearest_vertices(grasped.held.mesh, np.concatenate([points.rear_tooth_m, points.front_tooth_m]))
+    corners = nearest_vertices(grasped.held_surface, np.concatenate([points.rear_tooth_m, points.front_tooth_m]))
     driven = grasped.gel.driven_nodes
     grasped.after_ipc_step = lambda: oracle.step(
         np.concatenate([grasped.gel_nodes_m(index)[driven] for index in range(2)])

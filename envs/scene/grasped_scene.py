@@ -1,4 +1,4 @@
-"""A rigid part held between two gels: the physics, the gripper that moves them, and what both sensors see of it."""
+"""A part held between two gels: the physics, the gripper that moves them, and what both sensors see of it."""
 
 import hashlib
 from collections.abc import Callable, Sequence
@@ -114,7 +114,7 @@ class _Measurements:
 
     Attributes:
         views_m: what both sensors see [m], shape [s, 3] each.
-        held_m: all vertices of the held part in the world [m], shape [v, 3].
+        held_m: all vertices of the held part's surface in the world [m], shape [v, 3].
         surface_diff_m: mean motion of both sensing surfaces since the reference [m].
     """
 
@@ -128,18 +128,32 @@ def fixed_at_origin(mesh: SurfaceMesh, *, friction: float) -> RigidBody:
     return RigidBody(mesh=mesh, rotation=np.eye(3), translation_m=np.zeros(3), friction=friction, fixed=True)
 
 
+def _surface(part: RigidBody | GelBody) -> SurfaceMesh:
+    if isinstance(part, RigidBody):
+        return part.mesh
+    vertices_m, triangles = part.mesh.surface
+    return SurfaceMesh(vertices_m=vertices_m, triangles=triangles, name=part.mesh.name)
+
+
+def _driven_m(part: GelBody, time_s: float) -> FloatArray:
+    """Return where the driven nodes of a soft part are at a time [m], shape [d, 3]."""
+    placed_m = placed(part.mesh.rest_position_m[part.mesh.driven_nodes], part)
+    return placed_m if part.motion is None else placed_m + part.motion(time_s)
+
+
 class GraspedScene:
-    """Two gels on a gripper, the part they hold (body 0), the part it goes into (body 1, fixed), and any others.
+    """Two gels on a gripper, the part they hold, the rigid part it goes into, which is fixed, and any others.
 
     After an IPC step that did not converge nothing moves: `solved` is False and stays so. Without gravity and load a
     part that can move and that nothing touches keeps its speed, which is zero at the start.
 
     Attributes:
         gel: mesh of both gels.
-        held: the held part, where it was placed.
+        held: the held part, where it was placed: a rigid one, or a soft one without driven nodes.
+        held_surface: its surface at rest, in its own frame.
         fixed: the fixed part.
-        others: further parts: rigid ones, fixed or movable, and gels, whose driven nodes stay where they are. Pictures
-            show the fixed ones.
+        others: further parts: rigid ones, fixed or movable, and soft ones, whose driven nodes go with their motion.
+            Pictures show the fixed ones.
         physics: materials and stepping.
         ipc_steps: solved so far.
         solved: every IPC step so far converged.
@@ -150,7 +164,7 @@ class GraspedScene:
         self,
         *,
         gripper: Gripper,
-        held: RigidBody,
+        held: RigidBody | GelBody,
         fixed: RigidBody,
         physics: PhysicsSettings,
         sensors: tuple[TactileSensor, TactileSensor],
@@ -158,22 +172,22 @@ class GraspedScene:
         others: Sequence[RigidBody | GelBody] = (),
     ) -> None:
         self.gel, self.held, self.fixed, self.physics = gripper.gel, held, fixed, physics
-        self.others = tuple(others)
+        self.others, self.held_surface = tuple(others), _surface(held)
         self.after_ipc_step: Callable[[], None] | None = None
         self._clocks = clocks
         self._gripper = gripper
         self._sensors = sensors
-        gels = [part for part in self.others if isinstance(part, GelBody)]
-        bodies = [held, fixed, *(part for part in self.others if isinstance(part, RigidBody))]
-        self._still_m = [placed(gel.mesh.rest_position_m, gel)[gel.mesh.driven_nodes] for gel in gels]
+        parts = (held, fixed, *others)
+        bodies = [part for part in parts if isinstance(part, RigidBody)]
+        self._soft = [part for part in parts if isinstance(part, GelBody)]
         # The physics numbers gels first; at each of its numbers that of `pair_forces`.
-        is_rigid = [False] * SENSOR_COUNT + [True, True] + [isinstance(part, RigidBody) for part in self.others]
+        is_rigid = [False] * SENSOR_COUNT + [isinstance(part, RigidBody) for part in parts]
         self._numbers = np.argsort(is_rigid, kind="stable")
         self._motions = {number: body.motion for number, body in enumerate(bodies) if body.motion is not None}
         self._loads = {number: body.load for number, body in enumerate(bodies) if body.load is not None}
         with clocks.physics:
             self._scene = Scene(
-                gels=[*(self._placed_gel(index) for index in range(SENSOR_COUNT)), *gels],
+                gels=[*(self._placed_gel(index) for index in range(SENSOR_COUNT)), *self._soft],
                 bodies=bodies,
                 time_step_s=physics.time_step_s,
                 contact=physics.contact,
@@ -262,16 +276,22 @@ class GraspedScene:
         return [self._drifted(sensor.lost_px[None].copy())[0, 1] for sensor in self._sensors]
 
     def held_vertices_m(self, vertices: NDArray[np.int64]) -> FloatArray:
-        """Return the world positions of chosen vertices of the held part [m], shape [n, 3]."""
+        """Return the world positions of chosen vertices of the held part's surface [m], shape [n, 3]."""
         if self._measured.held_m is None:
-            self._measured.held_m = self._scene.body_vertices_m(0)
+            held_m = self._part_vertices_m(SENSOR_COUNT)
+            self._measured.held_m = held_m[self.held.mesh.surface_nodes] if isinstance(self.held, GelBody) else held_m
         return self._measured.held_m[vertices]
 
     def other_vertices_m(self, index: int) -> FloatArray:
         """Return the world positions of all vertices or nodes of one of the other parts [m], shape [v, 3]."""
-        number = int(np.flatnonzero(self._numbers == SENSOR_COUNT + 2 + index)[0])
-        gels = SENSOR_COUNT + len(self._still_m)
-        return self._scene.gel_positions_m(number) if number < gels else self._scene.body_vertices_m(number - gels)
+        return self._part_vertices_m(SENSOR_COUNT + 2 + index)
+
+    def _part_vertices_m(self, number: int) -> FloatArray:
+        """Return the vertices or nodes of a part, numbered as in `pair_forces` [m], shape [v, 3]."""
+        of_physics, gels = int(np.flatnonzero(self._numbers == number)[0]), SENSOR_COUNT + len(self._soft)
+        if of_physics < gels:
+            return self._scene.gel_positions_m(of_physics)
+        return self._scene.body_vertices_m(of_physics - gels)
 
     def fixed_shift_m(self) -> FloatArray:
         """Return where the fixed part is now, from where it was placed [m], shape [3]."""
@@ -390,11 +410,14 @@ class GraspedScene:
         time_s = (self.ipc_steps + 1) * self.physics.time_step_s
         with self._clocks.physics:
             report = self._scene.step(
-                driven_targets_m=[*self._gripper.driven_targets_m(pose), *self._still_m],
+                driven_targets_m=[
+                    *self._gripper.driven_targets_m(pose),
+                    *(_driven_m(part, time_s) for part in self._soft),
+                ],
                 displacements_m={number: motion(time_s) for number, motion in self._motions.items()},
                 loads={number: load(time_s) for number, load in self._loads.items()},
             )
-        if self._still_m:  # Only the gripper's gels hold the part.
+        if self._soft:  # Only the gripper's gels hold the part.
             report = replace(report, gel_forces_n=report.gel_forces_n[:SENSOR_COUNT])
         self.ipc_steps += 1
         self._reports.append(report)

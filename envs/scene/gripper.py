@@ -8,7 +8,7 @@ from vitac.errors import VitacError
 
 from ..compilation import allocating_kernel
 from ..deterministic_math import sine_cosine
-from ..fem.model.mesh import GelMesh
+from ..fem.model.mesh import GelMesh, MeshError
 
 FloatArray = NDArray[np.float64]
 
@@ -99,9 +99,14 @@ class Gripper:
     Attributes:
         gel: mesh of both.
         pose: present pose.
+
+    Raises:
+        MeshError: the gel has no driven nodes.
     """
 
     def __init__(self, *, mounts: tuple[SensorMount, SensorMount], gel: GelMesh, pose: GripperPose) -> None:
+        if gel.is_free:
+            raise MeshError(f"{gel.name}: no node is driven, so no gripper can move it; mark its back face.")
         self.gel = gel
         self._mounts = mounts
         driven_m = gel.rest_position_m[gel.driven_nodes]

@@ -17,7 +17,7 @@ def held_pose_mm_deg(grasped: "GraspedScene") -> FloatArray:
 
     The turns are made about the world's axes: about x, then y, then z.
     """
-    rest_m = grasped.held.mesh.vertices_m
+    rest_m = grasped.held_surface.vertices_m
     turned, moved_m = rigid_fit(rest_m, grasped.held_vertices_m(np.arange(len(rest_m))))
     roll = atan2(turned[2, 1], turned[2, 2])
     pitch = atan2(-turned[2, 0], hypot(turned[2, 1], turned[2, 2]))

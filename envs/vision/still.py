@@ -29,7 +29,7 @@ class StillCamera:
         self._grasped = grasped
         fixed, gel = grasped.fixed_surface(), grasped.gel
         self._fixed_m, fixed_triangles = cut_open(fixed.vertices_m, fixed.triangles, perspective.cut)
-        self._held_vertices = np.arange(len(grasped.held.mesh.vertices_m))
+        self._held_vertices = np.arange(len(grasped.held_surface.vertices_m))
         gels = [
             Body(vertex_count=len(gel.rest_position_m), triangles=gel.surface_triangles, label=label)
             for label in (Label.LEFT_GEL, Label.RIGHT_GEL)
@@ -37,7 +37,7 @@ class StillCamera:
         self._surfaces = VisibleSurfaces(
             [
                 Body(vertex_count=len(self._fixed_m), triangles=fixed_triangles, label=Label.BASE),
-                Body(vertex_count=len(self._held_vertices), triangles=grasped.held.mesh.triangles, label=Label.PEG),
+                Body(vertex_count=len(self._held_vertices), triangles=grasped.held_surface.triangles, label=Label.PEG),
                 *gels,
             ]
         )

@@ -130,7 +130,7 @@ def draw_tactile_pictures(scene: GraspedScene, random: np.random.Generator) -> T
     """
     camera, distance_m = _camera(scene.gel, scene.camera), eye_distance_m(scene.gel)
     flow = scene.last_marker_flow(random)
-    held, pictures = scene.held.mesh, []
+    held, pictures = scene.held_surface, []
     held_m = scene.held_vertices_m(np.arange(len(held.vertices_m)))
     for index, noise_key in enumerate(_noise_keys(random, flow)):
         pose = scene.sensor_pose(index)

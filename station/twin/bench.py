@@ -315,10 +315,10 @@ class Bench:
         self._look(held)
 
     def _look(self, held: HeldPeg) -> None:
-        body_m = held.scene.held_vertices_m(np.arange(len(held.scene.held.mesh.vertices_m)))
+        body_m = held.scene.held_vertices_m(np.arange(len(held.scene.held_surface.vertices_m)))
         for side, view in enumerate(self.views):
             view.look(
-                held.scene.gel_nodes_m(side), held.scene.sensor_pose(side), body_m, held.scene.held.mesh.triangles
+                held.scene.gel_nodes_m(side), held.scene.sensor_pose(side), body_m, held.scene.held_surface.triangles
             )
 
     def _in_world(self, at: Axes) -> Axes:

@@ -122,7 +122,7 @@ class HandPlay:
         """Return both parts as the task's section shows them [mm]; who sees it, plays no longer by touch alone."""
         self._has_seen = True
         scene, view = self._env.scene, self.perspective.section
-        fixed, held = scene.fixed_surface(), scene.held.mesh
+        fixed, held = scene.fixed_surface(), scene.held_surface
         held_m = scene.held_vertices_m(np.arange(len(held.vertices_m))) - scene.fixed_shift_m()
         axes = [index for index, _ in view.axes]
         parts = {

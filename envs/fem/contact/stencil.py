@@ -218,7 +218,7 @@ def _add_coupling(stencil: Stencil, i: int, j: int, system: NewtonSystem) -> Non
 
 @kernel
 def _add_bound(block: FloatArray, i: int, j: int, entries: FloatArray, of_a: int, of_b: int) -> None:
-    """Replace a coupling outside the pattern (two gels that touch) by a bound on it, which only slows convergence."""
+    """Replace a coupling outside the pattern, of gels that meet within a step, by a bound that slows convergence."""
     for k in range(3):
         for m in range(3):
             half = 0.5 * abs(block[_entry(i, k, j, m)])

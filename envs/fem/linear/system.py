@@ -1,10 +1,11 @@
-"""Where the blocks of the Newton matrix stand, and in which fronts it is eliminated; built once per scene.
+"""Where the blocks of the Newton matrix stand, and in which fronts it is eliminated.
 
     [ K  B ]
     [ C  D ]
 
-K couples the free nodes of the gels, in order of elimination, where their meshes do; the border holds the frame points
-of the movable bodies, which may touch any of them. All entries stand in one flat array, as blocks of 3 x 3.
+K couples the free nodes of the gels, in order of elimination, where their meshes or contacts do; the border holds the
+frame points of the movable bodies, which may touch any of them. All entries stand in one flat array, in blocks of
+3 x 3.
 """
 
 from collections.abc import Sequence
@@ -42,7 +43,7 @@ class BlockLayout(NamedTuple):
 
 
 class Neighbours(NamedTuple):
-    """Gel nodes that share a tetrahedron: block (a, node[k]) of K at 3 n + 9 k for start[a] <= k < start[a + 1]."""
+    """Gel nodes that are coupled: block (a, node[k]) of K at 3 n + 9 k for start[a] <= k < start[a + 1]."""
 
     start: IndexArray  # [n / 3 + 1]
     node: IndexArray  # [k] ascending for each a
@@ -76,7 +77,7 @@ class SystemLayout(NamedTuple):
 
 
 def system_layout(eliminations: Sequence[Elimination], border: int) -> SystemLayout:
-    """Return the layout for gels with these eliminations, one after the other, and this number of frame points."""
+    """Return the layout for these eliminations of gels, one after the other, and this number of frame points."""
     starts = np.concatenate([[0], np.cumsum([len(part.nodes) for part in eliminations])])
     edges = np.concatenate([part.edges + start for part, start in zip(eliminations, starts[:-1], strict=True)])
     both_ways = np.concatenate([edges, edges[:, ::-1]])
@@ -196,7 +197,7 @@ def block_place(layout: BlockLayout, a: int, b: int) -> tuple[int, int]:
 
 @kernel
 def gel_block_place(start: IndexArray, node: IndexArray, a: int, b: int) -> int:
-    """Return the place of the block of two gel nodes, from `Neighbours`; NO_PLACE if they share no tetrahedron."""
+    """Return the place of the block of two gel nodes, from `Neighbours`; NO_PLACE if they are not coupled."""
     if a == b:
         return 9 * a
     low, high = start[a], start[a + 1]

@@ -1,7 +1,7 @@
-"""Meshes of gels and rigid parts, and the bodies that they are placed as."""
+"""Meshes of gels, soft and rigid parts, and the bodies that they are placed as."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations, product
 from typing import NamedTuple
@@ -48,14 +48,14 @@ class GelMesh:
         hexahedra: node indices of hexahedra, shape [c, 8], that stand for the tetrahedra where there are any: these
             cut each into five, in the order of the hexahedra, and serve its surface and drawings only. Nodes in the
             order of x fastest, then y, then z: edges are about along the mesh's axes.
-        driven: nodes whose motion is prescribed (the back face), shape [n].
-        sensing: nodes of the sensing surface, shape [n].
+        driven: nodes whose motion is prescribed (the back face), shape [n]; none in a part that can move freely.
+        sensing: nodes of the sensing surface, shape [n]; none in such a part.
         name: how messages call the mesh (a file name where it has one).
 
     Raises:
         MeshError: an array has the wrong shape, a coordinate is not finite or not in metres, a tetrahedron is
-            inverted or flat, the tetrahedra do not cut the hexahedra, a node belongs to no tetrahedron, no node is
-            driven, none is free, or none is sensing.
+            inverted or flat, the tetrahedra do not cut the hexahedra, a node belongs to no tetrahedron, none is free,
+            or nodes are driven but none is sensing, or the other way round.
     """
 
     rest_position_m: FloatArray
@@ -75,8 +75,11 @@ class GelMesh:
                     f"{self.name}: the {label} mask has shape {mask.shape} and type {mask.dtype}, "
                     f"expected one boolean for each of the {nodes} nodes."
                 )
-            if not mask.any():
-                raise MeshError(f"{self.name}: no node is {label}; mark at least one of the {nodes} nodes.")
+            if not mask.any() and (self.driven.any() or self.sensing.any()):
+                raise MeshError(
+                    f"{self.name}: no node is {label}; mark at least one of the {nodes} nodes; a part that can "
+                    "move freely has neither driven nor sensing ones."
+                )
         if self.driven.all():
             raise MeshError(f"{self.name}: all {nodes} nodes are driven, so none is left to solve for; free some.")
         self._check_tetrahedra()
@@ -206,6 +209,16 @@ class GelMesh:
         edges = np.unique(np.sort(number[edges], axis=1), axis=0)
         edges = edges[edges[:, 0] >= 0]
         return plan_elimination(free, edges, self.rest_position_m[free])
+
+    def released(self) -> "GelMesh":
+        """Return the mesh with neither driven nor sensing nodes, for a part that can move freely."""
+        none = np.zeros(len(self.driven), dtype=np.bool_)
+        return replace(self, driven=none, sensing=none)
+
+    @property
+    def is_free(self) -> bool:
+        """Whether no node is driven, so that only forces move it."""
+        return not self.driven.any()
 
     @cached_property
     def driven_nodes(self) -> IndexArray:
@@ -430,10 +443,10 @@ class PronyBranch:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GelBody:
-    """A gel in a scene, placed by world = rotation @ rest + translation.
+    """A gel or an elastic part in a scene, placed by world = rotation @ rest + translation.
 
     Attributes:
-        mesh: tetrahedral mesh.
+        mesh: of tetrahedra or hexahedra.
         rotation: shape [3, 3].
         translation_m: [m], shape [3].
         youngs_modulus_pa: Young's modulus [Pa].
@@ -443,6 +456,8 @@ class GelBody:
         material: its name, for contact models with friction coefficients by pair of materials.
         viscosity: branches beside the elasticity, whose constants are those of a gel at rest; for hexahedra.
         yeoh: C20 and C30 over C10, see `elastic.yeoh`; for hexahedra.
+        motion: where its driven nodes are at a time [s] after the scene was built, from where they were placed [m],
+            shape [3]; None where they stay or a gripper moves them. It can be pickled.
     """
 
     mesh: GelMesh
@@ -455,6 +470,7 @@ class GelBody:
     material: str = GEL_MATERIAL
     viscosity: tuple[PronyBranch, ...] = ()
     yeoh: tuple[float, float] = (0.0, 0.0)
+    motion: Callable[[float], FloatArray] | None = None
 
 
 class PointMass(NamedTuple):

@@ -11,10 +11,12 @@ from ..elastic.hexahedra import stabilisation_n_m
 from ..elastic.neo_hookean import lame_parameters_pa
 from ..elastic.viscosity import build_branches
 from ..elastic.yeoh import yeoh_pa
+from ..linear.ordering import Elimination
 from ..linear.system import SystemLayout, gel_block_places, system_layout
 from ..model.mesh import GelBody, GelMesh, RigidBody
 from ..model.model import PRESCRIBED, Affine, Elastic, Hexahedra, Model, Parameters, Points, Surfaces, Unknowns
 from ..model.settings import AnyContactSettings, SolverSettings
+from .coupling import NO_COUPLINGS, join_eliminations
 from .layout import NodeLayout
 
 FloatArray = NDArray[np.float64]
@@ -25,7 +27,7 @@ _LAYOUTS_KEPT = 8
 
 
 class GelLayout(NamedTuple):
-    """What follows from the meshes of all gels alone.
+    """What follows from the meshes of all gels and from which of their nodes contacts couple.
 
     Attributes:
         order: free nodes in order of elimination.
@@ -47,17 +49,22 @@ class GelLayout(NamedTuple):
 
 
 def build_model(
-    gels: tuple[GelBody, ...],
-    bodies: tuple[RigidBody, ...],
     layout: NodeLayout,
     time_step_s: float,
     contact: AnyContactSettings,
     solver: SolverSettings,
+    couplings: IndexArray = NO_COUPLINGS,
 ) -> Model:
-    """Return the model of gels and bodies whose nodes stand as in `layout`, stepped by time_step_s [s]."""
-    constants = contact.constants(time_step_s)
+    """Return the model of the gels and bodies of a layout, stepped by time_step_s [s].
+
+    The matrix has places for the `couplings` [k, 2] of nodes of gels that touch each other.
+    """
+    gels, bodies, constants = layout.gels, layout.bodies, contact.constants(time_step_s)
     movable = sum(not body.fixed for body in bodies)
-    of_gels = lay_out_gels(tuple(gel.mesh for gel in gels), 4 * movable)
+    meshes = tuple(gel.mesh for gel in gels)
+    of_gels = lay_out_gels(meshes, 4 * movable)
+    if len(couplings):
+        of_gels = _lay_out(meshes, join_eliminations(meshes, couplings, layout.initial_positions_m()), 4 * movable)
     unknowns = _build_unknowns(gels, bodies, layout, of_gels)
     return Model(
         elastic=_build_elastic(gels, of_gels),
@@ -83,17 +90,21 @@ def build_model(
 
 @lru_cache(maxsize=_LAYOUTS_KEPT)
 def lay_out_gels(meshes: tuple[GelMesh, ...], frame_points: int) -> GelLayout:
-    """Return the layout of gels, numbered one after the other, and of this number of frame points; made once."""
+    """Return the layout of gels that touch no other, numbered in order, and of so many frame points; made once."""
+    return _lay_out(meshes, join_eliminations(meshes, NO_COUPLINGS, np.empty((0, 3))), frame_points)
+
+
+def _lay_out(meshes: tuple[GelMesh, ...], eliminations: list[Elimination], frame_points: int) -> GelLayout:
     starts = np.cumsum([0, *(len(mesh.rest_position_m) for mesh in meshes)])
     placed = list(zip(meshes, starts[:-1], strict=True))
-    order = np.concatenate([mesh.elimination.nodes + start for mesh, start in placed])
+    order = np.concatenate([part.nodes for part in eliminations])
     none = np.empty((0, 4), dtype=np.int64)
     tetrahedra = np.concatenate([none, *(mesh.tetrahedra + start for mesh, start in placed if not mesh.is_hexahedral)])
     hexahedra = np.concatenate([mesh.hexahedra + start for mesh, start in placed])
     slot = np.full(starts[-1], PRESCRIBED, dtype=np.int64)
     slot[order] = np.arange(len(order))
     first, second = _ordered_pairs(slot[tetrahedra])
-    system = system_layout([mesh.elimination for mesh in meshes], frame_points)
+    system = system_layout(eliminations, frame_points)
     return GelLayout(
         order=order,
         tetrahedra=tetrahedra,

@@ -90,6 +90,8 @@ def check_bodies(gels: Sequence[GelBody], bodies: Sequence[RigidBody]) -> None:
                 f"lock: at {_LOCKING_POISSON_RATIO} a ball presses 1.7 times as hard as into the continuum; mesh it by "
                 "hexahedra or give it a smaller one."
             )
+        if gel.motion is not None and gel.mesh.is_free:
+            raise SceneError(f"{name} has a motion, but {gel.mesh.name} has no driven nodes that it could move.")
         for branch in gel.viscosity:
             _check_positive(f"the viscosity of {name}", relaxation_time_s=branch.relaxation_time_s)
             if not 0.0 <= branch.modulus_ratio < np.inf:

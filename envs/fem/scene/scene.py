@@ -16,7 +16,7 @@ from ..contact.weakening import weaken_friction
 from ..elastic.elasticity import measure_stretches
 from ..elastic.viscosity import build_branches, follow_strain, held_stress_pa
 from ..model.mesh import GelBody, PointLoad, RigidBody
-from ..model.model import PRESCRIBED, Surfaces, point_positions
+from ..model.model import PRESCRIBED, Model, Surfaces, point_positions
 from ..model.settings import (
     AnyContactSettings,
     ArenaContactSettings,
@@ -30,6 +30,7 @@ from ..solver.iterate import IpcStep, find_contacts, remember_step
 from ..solver.newton import SOLVED, UNSOLVED, UNSTABLE, Counter, Record, StepMeasure, Tolerances, forces_at, solve_step
 from ..solver.path import BalancePath
 from .builder import build_model
+from .coupling import NO_COUPLINGS, PLANNED_WITHIN_M, boxes_come_near, includes, near_nodes
 from .layout import NodeLayout, SceneError, check_bodies, check_settings
 
 FloatArray = NDArray[np.float64]
@@ -143,18 +144,23 @@ class _Attempt:
 
 
 class SceneState(NamedTuple):
-    """State of a scene: nodes, shapes [n, 3], what contacts remember, and strains of viscous branches, [b, c, 6]."""
+    """State of a scene: nodes, shapes [n, 3], what contacts remember, and strains of viscous branches, [b, c, 6].
+
+    With it goes for which nodes of different gels [k, 2] the matrix has places: rounding depends on them.
+    """
 
     positions_m: FloatArray
     velocities_m_s: FloatArray
     memory: ContactMemory
     viscous_strain: FloatArray
+    couplings: IndexArray = NO_COUPLINGS
 
 
 class Scene:
     """Steps gels and affine bodies through driven motions, each step solved to convergence.
 
-    `gravity_m_s2` acts on movable bodies in the world [m/s^2], shape [3]; gels weigh nothing.
+    `gravity_m_s2` acts on bodies that can move freely, in the world [m/s^2], shape [3]; gels that are driven weigh
+    nothing.
 
     Raises:
         SceneError: a body is misplaced, bodies overlap at the start, or a material or setting is out of range.
@@ -179,14 +185,9 @@ class Scene:
         self._layout = NodeLayout(self._gels, self._bodies)
         placed = zip(self._gels, self._layout.gel_slices, strict=True)
         self._driven = [gel.mesh.driven_nodes + rows.start for gel, rows in placed]
-        self._model = build_model(
-            self._gels,
-            self._bodies,
-            self._layout,
-            time_step_s,
-            self._contact,
-            self._solver,
-        )
+        self._time_step_s = time_step_s
+        self._couplings = NO_COUPLINGS
+        self._model = self._build_model()
         self._surfaces = self._model.surfaces
         self._placed_m = self._layout.initial_positions_m()
         self._weight_n = self._weigh(gravity_m_s2)
@@ -207,6 +208,23 @@ class Scene:
         """Take over a state, with scratch of its own."""
         vars(self).update(state)
         self._workspace = self._new_workspace()
+
+    def _build_model(self) -> Model:
+        return build_model(self._layout, self._time_step_s, self._contact, self._solver, self._couplings)
+
+    def _couple(self, couplings: IndexArray) -> None:
+        """Give the matrix places for nodes of different gels, shape [k, 2]."""
+        self._couplings = couplings
+        self._model = self._build_model()
+        self._workspace = self._new_workspace()
+
+    def _couple_touching_gels(self) -> None:
+        """Make the places for gels that have come near each other, or slid to other nodes."""
+        reach_m = self._contact.d_hat_m + self._solver.candidate_margin_m
+        if not boxes_come_near([self._x[rows] for rows in self._layout.gel_slices], reach_m):
+            return
+        if not includes(self._couplings, near_nodes(self._model, len(self._gels), self._x, reach_m)):
+            self._couple(near_nodes(self._model, len(self._gels), self._x, PLANNED_WITHIN_M))
 
     def _new_workspace(self) -> Workspace:
         branches, hexahedra = self._branches.rate.shape
@@ -229,7 +247,8 @@ class Scene:
                 others stay.
             loads: from outside on movable bodies in this step, by number; their weight is not among them.
         """
-        start, time_step_s = self._x.copy(), self._model.parameters.time_step_s
+        self._couple_touching_gels()
+        start, time_step_s = self._x.copy(), self._time_step_s
         x_hat, target = start + time_step_s * self._velocity, self._target(driven_targets_m, displacements_m or {})
         attempt = _Attempt(
             start=start,
@@ -295,7 +314,7 @@ class Scene:
 
     def state(self) -> SceneState:
         """Return all that what follows depends on."""
-        return SceneState(self._x.copy(), self._velocity.copy(), self._memory, self._viscous_strain)
+        return SceneState(self._x.copy(), self._velocity.copy(), self._memory, self._viscous_strain, self._couplings)
 
     def restore(self, state: SceneState) -> None:
         """Go back to a state of this scene."""
@@ -303,6 +322,8 @@ class Scene:
         self._velocity = state.velocities_m_s.copy()
         self._memory, self._last_start = state.memory, None
         self._viscous_strain = state.viscous_strain
+        if not np.array_equal(state.couplings, self._couplings):
+            self._couple(state.couplings)
 
     def state_bytes(self) -> bytes:
         """Return the state as little-endian float64 and int64, for hashing; empty parts add nothing."""
@@ -359,13 +380,16 @@ class Scene:
         return target
 
     def _weigh(self, gravity_m_s2: Sequence[float]) -> FloatArray:
-        """Return the weights of all movable bodies at their frame points [N], shape [n, 3]."""
+        """Return the weights of what can move freely at its nodes and frame points [N], shape [n, 3]."""
         weight_n, gravity = np.zeros_like(self._placed_m), np.array(gravity_m_s2, dtype=np.float64)
         if gravity.shape != (3,) or not np.isfinite(gravity).all():
             raise SceneError(f"gravity_m_s2 is {gravity_m_s2}, expected three finite numbers.")
         affine = self._model.affine
         for first, mass_kg in zip(affine.first_node, affine.mass_kg, strict=True):
             weight_n[first : first + 4] = mass_kg.sum(axis=1)[:, None] * gravity
+        for gel, rows in zip(self._gels, self._layout.gel_slices, strict=True):
+            if gel.mesh.is_free:
+                weight_n[rows] = self._model.unknowns.node_mass_kg[rows, None] * gravity
         return weight_n
 
     def _load_n(self, loads: Mapping[int, PointLoad]) -> FloatArray:

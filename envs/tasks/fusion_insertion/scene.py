@@ -323,7 +323,7 @@ class FusionScene(InsertionScene[FusionOffset, FusionInsertionSettings]):
 
     def _visible(self) -> "_Visible":
         grasped = self.grasped
-        peg_m = grasped.held_vertices_m(np.arange(len(grasped.held.mesh.vertices_m)))
+        peg_m = grasped.held_vertices_m(np.arange(len(grasped.held_surface.vertices_m)))
         positions_m = [grasped.fixed.mesh.vertices_m, peg_m, grasped.gel_nodes_m(0), grasped.gel_nodes_m(1)]
         return _Visible(
             positions_m=[*positions_m, *(solid.vertices_m for solid, _ in self._around)],
@@ -337,7 +337,7 @@ class FusionScene(InsertionScene[FusionOffset, FusionInsertionSettings]):
     def _visible_bodies(self) -> list[Body]:
         """Return base, peg, both gels and what stands around, in the order in which `sight` gives their positions."""
         grasped = self.grasped
-        solids = ((grasped.fixed.mesh, Label.BASE), (grasped.held.mesh, Label.PEG))
+        solids = ((grasped.fixed.mesh, Label.BASE), (grasped.held_surface, Label.PEG))
         gel = grasped.gel
         return [
             *(Body(vertex_count=len(mesh.vertices_m), triangles=mesh.triangles, label=label) for mesh, label in solids),

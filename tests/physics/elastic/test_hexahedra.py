@@ -37,7 +37,7 @@ def model_of(
         viscosity=viscosity,
         yeoh=yeoh,
     )
-    return build_model((gel,), (), NodeLayout((gel,), ()), 0.1, ContactSettings(), SolverSettings())
+    return build_model(NodeLayout((gel,), ()), 0.1, ContactSettings(), SolverSettings())
 
 
 class Probe:

@@ -67,7 +67,7 @@ def test_every_ipc_step_of_an_episode_ends_in_the_reference_state(reference_dir:
     peg.grasp()
     for played in json.loads(log[episode - 1])["steps"][:2]:
         peg.travel(played["gt_offset_mm_deg"])
-    vertices, sensing = peg.grasped.held.mesh.vertices_m, peg.grasped.gel.sensing
+    vertices, sensing = peg.grasped.held_surface.vertices_m, peg.grasped.gel.sensing
     for state, report, expected in zip(peg.states, peg.reports, checkpoints["ipc_steps"], strict=True):
         held = vertices @ np.array(expected["peg_A_columns"]) + expected["peg_t_m"]
         np.testing.assert_allclose(state.held_m, held, rtol=0, atol=CHECKPOINT_AGREEMENT_M)

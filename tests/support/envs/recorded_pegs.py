@@ -50,7 +50,7 @@ class RecordedPeg:
 
     def _record(self) -> None:
         gels_m = np.stack([self.grasped.gel_nodes_m(0), self.grasped.gel_nodes_m(1)])
-        held_m = self.grasped.held_vertices_m(np.arange(len(self.grasped.held.mesh.vertices_m)))
+        held_m = self.grasped.held_vertices_m(np.arange(len(self.grasped.held_surface.vertices_m)))
         self.states.append(PegState(gels_m=gels_m, held_m=held_m))
 
 

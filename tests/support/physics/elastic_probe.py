@@ -27,7 +27,7 @@ def block() -> GelMesh:
 def main(states: str, results: str) -> None:
     """Write forces [N] of shape [s, u, 3], and exact and projected matrix [N/m] of the first state."""
     gels = (GelBody(mesh=block(), rotation=np.eye(3), translation_m=np.zeros(3)),)
-    model = build_model(gels, (), NodeLayout(gels, ()), 0.1, ContactSettings(), SolverSettings())
+    model = build_model(NodeLayout(gels, ()), 0.1, ContactSettings(), SolverSettings())
     positions = np.load(states)["x"]
     system, batch = new_newton_system(model.system, positions.shape[1]), new_elastic_batch()
     forces: list[FloatArray] = []

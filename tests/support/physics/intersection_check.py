@@ -50,7 +50,7 @@ class GraspedSceneCheck:
     """The check for a part held between two gels."""
 
     def __init__(self, grasped: GraspedScene) -> None:
-        self._check = IntersectionCheck([grasped.gel, grasped.gel, grasped.held.mesh, grasped.fixed.mesh])
+        self._check = IntersectionCheck([grasped.gel, grasped.gel, grasped.held_surface, grasped.fixed.mesh])
 
     def intersects(self, grasped: GraspedScene) -> bool:
         """Whether the scene, as it stands, has intersecting bodies."""
@@ -62,7 +62,7 @@ class GraspedSceneCheck:
 
 
 def _positions_m(grasped: GraspedScene) -> list[FloatArray]:
-    held = grasped.held_vertices_m(np.arange(len(grasped.held.mesh.vertices_m)))
+    held = grasped.held_vertices_m(np.arange(len(grasped.held_surface.vertices_m)))
     fixed = (grasped.fixed.rotation[None] * grasped.fixed.mesh.vertices_m[:, None]).sum(axis=2)
     place_m = grasped.fixed.translation_m + grasped.fixed_shift_m()
     return [grasped.gel_nodes_m(0), grasped.gel_nodes_m(1), held, fixed + place_m]

@@ -56,7 +56,7 @@ class SlowOracle:
         tetrahedra = np.concatenate([gel.tetrahedra, gel.tetrahedra + nodes])
         driven = np.concatenate([gel.driven_nodes, gel.driven_nodes + nodes])
         self._elasticity = _Elasticity(rest_m, tetrahedra, physics.youngs_modulus_pa, physics.poisson_ratio)
-        self._body = _AffineBody(held.mesh, held.density_kg_m3, contact.kappa_affine / self._h**2)
+        self._body = _AffineBody(grasped.held_surface, held.density_kg_m3, contact.kappa_affine / self._h**2)
         self._contacts = _Contacts(grasped, contact)
         self._mass = sparse.block_diag([self._elasticity.mass(physics.gel_density_kg_m3), self._body.mass])
         self.X = np.concatenate([rest_m.ravel(), held.translation_m, held.rotation.ravel()])
@@ -223,7 +223,7 @@ class _Contacts:
         fixed_m = fixed.mesh.vertices_m @ fixed.rotation.T + fixed.translation_m
         nodes = np.concatenate([gel.surface_nodes, gel.surface_nodes + len(gel.rest_position_m)])
         gel_rows = sparse.eye_array(6 * len(gel.rest_position_m), format="csr")[_coordinates(nodes).ravel()]
-        held_rows = _AffineBody(held.mesh, 1.0, 1.0).vertex_rows()
+        held_rows = _AffineBody(grasped.held_surface, 1.0, 1.0).vertex_rows()
         moving = sparse.block_diag([gel_rows, held_rows])
         self._S = sparse.csr_array(sparse.vstack([moving, sparse.csr_array((fixed_m.size, moving.shape[1]))]))
         self._constant = np.concatenate([np.zeros(moving.shape[0]), fixed_m.ravel()])
@@ -231,13 +231,13 @@ class _Contacts:
         self._friction = 0.5 * np.add.outer(frictions, frictions)
         points, faces = gel.surface
         surfaces = [(len(points), faces), (len(points), faces)]
-        surfaces += [(len(mesh.vertices_m), mesh.triangles) for mesh in (held.mesh, fixed.mesh)]
+        surfaces += [(len(mesh.vertices_m), mesh.triangles) for mesh in (grasped.held_surface, fixed.mesh)]
         self._body = np.repeat(np.arange(4), [count for count, _ in surfaces])
         starts = np.searchsorted(self._body, np.arange(4))
         triangles = np.concatenate([faces + start for (_, faces), start in zip(surfaces, starts, strict=True)])
         edges = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
         rest = np.concatenate([grasped.gel_nodes_m(0), grasped.gel_nodes_m(1)])[nodes]
-        rest = np.concatenate([rest, held.mesh.vertices_m, fixed_m])
+        rest = np.concatenate([rest, grasped.held_surface.vertices_m, fixed_m])
         self._mesh = ipctk.CollisionMesh(
             *(np.asfortranarray(a) for a in (rest, edges.astype("i4"), triangles.astype("i4")))
         )

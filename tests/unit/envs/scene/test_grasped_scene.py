@@ -203,7 +203,7 @@ def test_a_listener_is_called_after_every_ipc_step(fake_scenes: list[FakeScene])
 
 def test_scene_shows_its_parts_and_gels(fake_scenes: list[FakeScene]) -> None:
     made = scene()
-    assert made.held.mesh.name == "cuboid peg"
+    assert made.held_surface.name == "cuboid peg"
     assert made.fixed.mesh.name == "cuboid hole"
     assert made.gel is Meshes().gel()
     assert made.physics == PhysicsSettings()
@@ -228,7 +228,7 @@ def test_measured_pose_is_that_of_the_part_and_not_of_the_gripper() -> None:
     made = scene()
     angles = np.radians([2.0, -3.0, 15.0])
     turned = turn(2, angles[2]) @ turn(1, angles[1]) @ turn(0, angles[0])
-    rest_m = made.held.mesh.vertices_m
+    rest_m = made.held_surface.vertices_m
     rotation, moved_m = rigid_fit(rest_m, rest_m @ turned.T + [1e-3, -2e-3, 20e-3])
     assert rotation == pytest.approx(turned)
     assert moved_m == pytest.approx([1e-3, -2e-3, 20e-3])

@@ -1,0 +1,159 @@
+"""Soft bodies that touch each other: gels that press on gels, and elastic parts that nothing but contact holds."""
+
+import pickle
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from block_meshes import box_surface, hexahedral_box
+from small_scenes import IDENTITY, UPSIDE_DOWN, arena_contact, driven_positions_m
+from vitac.envs.fem.model.mesh import GelBody, MeshError, RigidBody
+from vitac.envs.fem.scene.layout import SceneError
+from vitac.envs.fem.scene.scene import Scene, StepReport, StepStatus
+
+SIZE_M, CELLS = (0.008, 0.007, 0.004), (4, 4, 2)
+GAP_M = 5e-5
+G_M_S2 = 9.81
+
+
+TURN_RAD = 0.1
+TURNED = np.array(
+    [[np.cos(TURN_RAD), -np.sin(TURN_RAD), 0.0], [np.sin(TURN_RAD), np.cos(TURN_RAD), 0.0], [0.0, 0.0, 1.0]]
+)
+
+
+class Stack:
+    """A block on the ground, and on it another one upside down, or a rigid plate; a test moves what is above.
+
+    The blocks are turned against each other, so that no edges of theirs lie on each other. Half a turn about the x axis
+    at half the height takes one to the other.
+    """
+
+    def __init__(self, *, friction: float, rigid: bool = False) -> None:
+        block = hexahedral_box(SIZE_M, CELLS)
+        mesh = replace(block, rest_position_m=block.rest_position_m - [0.5 * SIZE_M[0], 0.5 * SIZE_M[1], 0.0])
+        lower = GelBody(mesh=mesh, rotation=TURNED, translation_m=np.zeros(3))
+        self.height_m = 2.0 * SIZE_M[2] + GAP_M
+        upper = GelBody(mesh=mesh, rotation=UPSIDE_DOWN @ TURNED, translation_m=np.array([0.0, 0.0, self.height_m]))
+        plate = RigidBody(
+            mesh=box_surface((0.04, 0.04, 0.004), (-0.02, -0.02, SIZE_M[2] + GAP_M)),
+            rotation=IDENTITY,
+            translation_m=np.zeros(3),
+            fixed=True,
+        )
+        self.gels, bodies = ([lower], [plate]) if rigid else ([lower, upper], [])
+        self.scene = Scene(gels=self.gels, bodies=bodies, time_step_s=0.1, contact=arena_contact(friction))
+        self._moved_m = np.zeros(3)
+
+    def move(self, *by_m: float) -> StepReport:
+        self._moved_m = self._moved_m + by_m
+        targets_m = [driven_positions_m(gel) for gel in self.gels]
+        if len(targets_m) == 1:
+            report = self.scene.step(driven_targets_m=targets_m, displacements_m={0: self._moved_m})
+        else:
+            report = self.scene.step(driven_targets_m=[targets_m[0], targets_m[1] + self._moved_m])
+        assert report.status is not StepStatus.NOT_CONVERGED
+        return report
+
+
+def test_two_equal_blocks_are_half_as_stiff_as_one_on_a_plate_and_mirror_each_other() -> None:
+    # Two that mirror each other do not slide, whatever the friction; on a plate only without it.
+    one, two = Stack(friction=0.0, rigid=True), Stack(friction=1.0)
+    for _ in range(5):
+        single, both = one.move(0.0, 0.0, -1e-4), two.move(0.0, 0.0, -2e-4)
+        below, above = two.scene.gel_positions_m(0), two.scene.gel_positions_m(1)
+        turned = above @ UPSIDE_DOWN + [0.0, 0.0, below[:, 2].min() + above[:, 2].max()]
+        assert turned == pytest.approx(below, abs=1e-8)
+        assert both.newton_iterations < 40, "a matrix without the coupling took thousands and did not arrive"
+    assert both.gel_forces_n[1] == pytest.approx([-force for force in both.gel_forces_n[0]], abs=2e-3)
+    pressed_m = (5e-4 + single.smallest_gap_m - GAP_M, 0.5 * (1e-3 + both.smallest_gap_m - GAP_M))
+    of_one, of_each = (-report.gel_forces_n[0][2] / m for report, m in zip((single, both), pressed_m, strict=True))
+    assert of_each == pytest.approx(of_one, rel=0.006)
+
+
+def test_blocks_stick_and_then_slide_within_the_friction_cone_while_the_pattern_follows() -> None:
+    stack, friction = Stack(friction=0.3), 0.3
+    for _ in range(4):
+        stack.move(0.0, 0.0, -1e-4)
+    ratios = []
+    for _ in range(12):
+        report = stack.move(2e-4, 0.0, 0.0)
+        (x, _, z), other = report.gel_forces_n
+        assert (x, z) == pytest.approx((-other[0], -other[2]), abs=3e-3)
+        ratios.append(x / -z)
+    assert ratios[1] == pytest.approx(2.0 * ratios[0], rel=0.02), "it sticks at first"
+    assert 0.9 * friction < max(ratios) <= friction
+    assert ratios[-1] > 0.8 * friction
+
+
+def test_a_scene_of_touching_gels_is_restored_and_copied_to_the_last_bit() -> None:
+    stack = Stack(friction=0.5)
+    stack.move(0.0, 0.0, -1e-4)
+    before = stack.scene.state()
+    stack.move(0.0, 0.0, -1e-4)
+    for _ in range(4):
+        stack.move(4e-4, 0.0, 0.0)
+    ended = stack.scene.state_bytes()
+    fresh = Stack(friction=0.5)
+    for scene in (stack.scene, pickle.loads(pickle.dumps(stack.scene)), fresh.scene):  # noqa: S301 - our own
+        scene.restore(before)
+        again = Stack(friction=0.5)
+        again.scene, again._moved_m = scene, np.array([0.0, 0.0, -1e-4])
+        again.move(0.0, 0.0, -1e-4)
+        for _ in range(4):
+            again.move(4e-4, 0.0, 0.0)
+        assert scene.state_bytes() == ended
+
+
+def soft_block_over_a_floor(height_m: float, **changes: Any) -> Scene:
+    anchor = GelBody(mesh=hexahedral_box(SIZE_M, (1, 1, 1)), rotation=IDENTITY, translation_m=np.full(3, 0.1))
+    soft = GelBody(
+        mesh=hexahedral_box(SIZE_M, CELLS).released(), rotation=IDENTITY, translation_m=np.array([0.0, 0.0, height_m])
+    )
+    floor = RigidBody(
+        mesh=box_surface((0.04, 0.04, 0.004), (-0.016, -0.016, -0.004)),
+        rotation=IDENTITY,
+        translation_m=np.zeros(3),
+        fixed=True,
+    )
+    return Scene(
+        gels=[anchor, replace(soft, **changes)],
+        bodies=[floor],
+        time_step_s=0.01,
+        contact=arena_contact(0.5),
+        gravity_m_s2=(0.0, 0.0, -G_M_S2),
+    )
+
+
+def test_a_free_soft_part_falls_as_a_stone_and_a_driven_gel_weighs_nothing() -> None:
+    scene = soft_block_over_a_floor(0.05)
+    start, held = scene.gel_positions_m(1), scene.gel_positions_m(0)
+    targets_m = [held[hexahedral_box(SIZE_M, (1, 1, 1)).driven_nodes], np.empty((0, 3))]
+    for _ in range(4):
+        scene.step(driven_targets_m=targets_m)
+    fallen_m = 0.01**2 * G_M_S2 * (1 + 2 + 3 + 4)  # implicit Euler
+    assert scene.gel_positions_m(1) == pytest.approx(start - [0.0, 0.0, fallen_m], abs=1e-8)
+    assert scene.gel_positions_m(0) == pytest.approx(held, abs=1e-12)
+
+
+def test_a_free_soft_part_rests_on_the_floor_with_its_weight() -> None:
+    scene = soft_block_over_a_floor(9e-5, density_kg_m3=2e4)
+    targets_m = [scene.gel_positions_m(0)[hexahedral_box(SIZE_M, (1, 1, 1)).driven_nodes], np.empty((0, 3))]
+    for _ in range(30):
+        report = scene.step(driven_targets_m=targets_m)
+        assert report.status is not StepStatus.NOT_CONVERGED
+    pairs = scene.contact_forces()
+    weight_n = 2e4 * np.prod(SIZE_M) * G_M_S2
+    assert np.abs(pairs.forces_n.sum(axis=0)) == pytest.approx([0.0, 0.0, weight_n], rel=2e-3, abs=1e-4)
+    sunk_m = SIZE_M[2] - np.ptp(scene.gel_positions_m(1)[:, 2])
+    assert 0.0 < sunk_m < 1e-4
+
+
+def test_a_free_part_has_neither_driven_nor_sensing_nodes_and_no_motion() -> None:
+    mesh = hexahedral_box(SIZE_M, CELLS)
+    none = np.zeros(len(mesh.driven), dtype=bool)
+    with pytest.raises(MeshError, match="neither driven nor sensing"):
+        replace(mesh, driven=none)
+    with pytest.raises(SceneError, match="no driven nodes"):
+        soft_block_over_a_floor(1e-3, motion=np.zeros)
