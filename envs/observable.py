@@ -1,5 +1,6 @@
 """What can be observed of a scene, as objects: a task lists them; space, tables and reading follow from the list."""
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
@@ -24,6 +25,21 @@ class BackProjection:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Curves:
+    """Curves over an episode that show an observable in plots and in the 3D player.
+
+    Attributes:
+        title: of the plot, with the unit.
+        names: of the curves.
+        read: gives a number for each of them from the value of the observable.
+    """
+
+    title: str
+    names: tuple[str, ...]
+    read: Callable[[NDArray[Any]], NDArray[Any]] = np.ravel
+
+
+@dataclass(frozen=True, kw_only=True)
 class Observable(Generic[SceneT]):
     """One entry of an observation.
 
@@ -38,6 +54,9 @@ class Observable(Generic[SceneT]):
         privileged: it is a truth that only training sees.
         computed_from: how it follows from another observable; None where it does not.
         picture: it is what a camera sees, read without the episode's generator; a record holds a hash of it.
+        curves: how it is plotted. What has any is read without the episode's generator (`noise_digest`), and is in the
+            info of every env step by its name, so that records have it and measures may be read from it, whatever a
+            policy observes.
         node_axis: axis that has an entry for every sensing node of a gel; None where there is none. `shape` has as many
             as the gel of the evaluations.
     """
@@ -51,6 +70,7 @@ class Observable(Generic[SceneT]):
     privileged: bool = False
     computed_from: BackProjection | None = None
     picture: bool = False
+    curves: tuple[Curves, ...] = ()
     node_axis: int | None = None
 
     def with_nodes(self, count: int) -> "Observable[SceneT]":
@@ -59,3 +79,18 @@ class Observable(Generic[SceneT]):
             return self
         shape = (*self.shape[: self.node_axis], count, *self.shape[self.node_axis + 1 :])
         return replace(self, shape=shape)
+
+
+def noise_digest(random: np.random.Generator, stream: int, content: bytes) -> bytes:
+    """Return 32 bytes for the noise of a reading, from the episode's seed and from what is read; nothing is drawn.
+
+    So a reading is the same whatever else is observed, and however often.
+
+    Args:
+        random: the episode's generator.
+        stream: number of the kind of sensor.
+        content: what is read, and when.
+    """
+    seed: Any = random.bit_generator.seed_seq
+    child = np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, stream))
+    return hashlib.sha256(child.generate_state(4).astype("<u4").tobytes() + content).digest()

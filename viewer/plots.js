@@ -100,7 +100,12 @@ function allSeries({ header, arrays, times }) {
     const lines = columns(arrays.heights_mm, numbered(arrays.heights_mm));
     series.push({ title: capital(header.heights_title), first: 0, lines, goal: header.heights_goal_mm });
   }
-  return series;
+  return series.concat(observedSeries({ header, arrays }));
+}
+
+/** Curves of what the task lets a policy observe beside markers. */
+function observedSeries({ header, arrays }) {
+  return (header.curves ?? []).map(({ title, names }, at) => ({ title, first: 0, lines: columns(arrays[`curves_${at}`], names) }));
 }
 
 function numbered({ shape }) {
@@ -121,6 +126,11 @@ function table({ header, arrays, lastStep }) {
   const heights = arrays.heights_mm ? columns(arrays.heights_mm, numbered(arrays.heights_mm)) : [];
   const [above] = capital(header.heights_title ?? " ").split(" [");
   heading.push(...heights.map(({ name }) => `${above} ${name} [mm]`));
+  const observed = observedSeries({ header, arrays }).flatMap(({ title, lines }) => {
+    const [what, unit] = title.split(" [");
+    return lines.map((line) => ({ ...line, title: `${what}${lines.length > 1 ? `, ${line.name}` : ""} [${unit}` }));
+  });
+  heading.push(...observed.map(({ title }) => title));
   const actions = columns(arrays.action_values, header.actions.map((action) => action.name));
   const motions = columns(arrays.surface_motions_mm, ["left", "right"]);
   const rows = Array.from({ length: lastStep }, (_, at) =>
@@ -132,7 +142,7 @@ function table({ header, arrays, lastStep }) {
       element("td", {}, short(arrays.rewards.values[at])),
       ...motions.map((motion) => element("td", {}, short(motion.values[at + 1]))),
       ...(forces ? [element("td", {}, short(forces[at + 1]))] : []),
-      ...heights.map((height) => element("td", {}, short(height.values[at + 1]))),
+      ...[...heights, ...observed].map((line) => element("td", {}, short(line.values[at + 1]))),
     ),
   );
   const head = element("thead", {}, element("tr", {}, ...heading.map((text) => element("th", { scope: "col" }, text))));

@@ -93,7 +93,13 @@ class DemoDisplay:
         self.note(f"Stopped. Finished episodes are stored; {program_name()} demo runs the rest.")
 
     def leaderboard(self, board: Json, team: str) -> None:
-        """Print the leaderboard, the demo team's line in bold, and its rate for each task or each shape."""
+        """Print the leaderboard, the demo team's line in bold, and its rate for each task or each shape.
+
+        Where it ranks by measures they stand in place of the env steps.
+        """
+        from vitac.server.views.board_table import measure_keys
+
+        measures = measure_keys(board)
         self.console.print()
         of = ", all tasks" if board["task"] is None else f", {board['task']}"
         board_name = "practice board of the public list" if board["is_practice"] else "leaderboard"
@@ -106,9 +112,12 @@ class DemoDisplay:
         table.add_column("Success", justify="right", no_wrap=True)
         table.add_column("0 %" + " " * (BAR_WIDTH - 8) + "100 %", width=BAR_WIDTH, no_wrap=True)
         table.add_column("95 % interval", no_wrap=True)
-        table.add_column("Env steps", justify="right", no_wrap=True)
+        for title in [key["title"] for key in measures] or ["Env steps"]:
+            table.add_column(Text(title), justify="right", no_wrap=True)  # a unit in brackets is no markup
         for entry in board["entries"]:
-            table.add_row("", *self._entry(entry), style="bold" if entry["team"] == team else "")
+            values = [entry["measures"].get(key["name"]) for key in measures] or [entry["mean_steps"]]
+            cells = ["-" if value is None else f"{value:.2f}" for value in values]
+            table.add_row("", *self._entry(entry), *cells, style="bold" if entry["team"] == team else "")
         self.console.print(table)
         own = next((entry for entry in board["entries"] if entry["team"] == team), None)
         if own is not None:
@@ -134,10 +143,9 @@ class DemoDisplay:
     def _entry(self, entry: Json) -> tuple[str | Text, ...]:
         rank = "-" if entry["rank"] is None else str(entry["rank"])
         low, high = entry["success_rate_interval"]
-        steps = "-" if entry["mean_steps"] is None else f"{entry['mean_steps']:.2f}"
         bar = interval_bar(entry["success_rate"], low, high)
         interval = f"{100 * low:.1f} to {100 * high:.1f} %"
-        return rank, entry["team"], percent(entry["success_rate"]) or "-", bar, interval, steps
+        return rank, entry["team"], percent(entry["success_rate"]) or "-", bar, interval
 
     def _parts(self, entry: Json) -> None:
         several = len(entry["scores"]) > 1

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..fem.contact.forces import PairForces
 from ..fem.model.mesh import GelMesh, SurfaceMesh
+from ..observable import Observable
 from ..scene.grasped_scene import GraspedScene, PhysicsSettings
 from ..scene.gripper import SensorPose
 from ..tactile.camera import CameraIntrinsics
@@ -98,6 +99,7 @@ class EpisodePlayback:
         moments: at least one.
         actions: of the env steps that were played, shape [n, a].
         rewards: of these env steps, shape [n].
+        plotted: observables with curves, whose values are in the info of each moment.
     """
 
     env_id: str
@@ -111,6 +113,7 @@ class EpisodePlayback:
     moments: tuple[Moment, ...]
     actions: NDArray[np.float32]
     rewards: FloatArray
+    plotted: tuple[Observable[Any], ...] = ()
 
     @property
     def last_moments(self) -> tuple[int, ...]:
@@ -224,4 +227,5 @@ def _playback(
         moments=moments,
         actions=np.array(actions, dtype=np.float32).reshape(-1, len(env.task.actions)),
         rewards=np.array(rewards, dtype=np.float64),
+        plotted=env.plotted_observables,
     )

@@ -71,6 +71,8 @@ FLOW_UNIT_PX: Final = 1.0 / 64.0
 ACTION_DECIMALS: Final = 2
 """Decimals of actions, which are in [-1, 1], of rewards, of positions and heights [mm], and of forces [N]."""
 ROTATION_DECIMALS: Final = 4
+_DECIMALS = 3
+"""Decimals of the curves of observables, in the units of these."""
 _PRESSURE_LEVELS = 255
 _EVERY = (1, 2, 4, 8)
 """Intervals of IPC steps that are tried until the file is small enough; the end of each env step is always kept."""
@@ -106,6 +108,7 @@ def _packed(playback: EpisodePlayback, moments: list[Moment]) -> bytes:
     pressure_unit_pa = max(float(pressures_pa.max()), 1.0) / _PRESSURE_LEVELS
     flows = np.stack([moment.marker_flow for moment in ends])
     perspective = look_up_perspective(playback.env_id)
+    curves = [(entry.name, curve) for entry in playback.plotted for curve in entry.curves]
     header = {
         "env_id": playback.env_id,
         "end_reason": ends[-1].end_reason,
@@ -119,6 +122,7 @@ def _packed(playback: EpisodePlayback, moments: list[Moment]) -> bytes:
         "sensor_camera": list(playback.camera),
         "surface_limit_mm": 1e3 * LARGEST_SURFACE_DIFF_M,
         "force_limit_n": ends[-1].info.get("force_limit_n"),
+        "curves": [{"title": curve.title, "names": curve.names} for _, curve in curves],
         **_described(perspective, ends),
     }
     arrays: dict[str, NDArray[Any] | Changes] = {
@@ -153,6 +157,8 @@ def _packed(playback: EpisodePlayback, moments: list[Moment]) -> bytes:
     arrays["arrow_places_mm"] = _rounded(np.array([1e3 * places_m for places_m, _ in arrows]))
     arrays["arrow_forces_n"] = _rounded(np.array([forces_n for _, forces_n in arrows]))
     arrays["forces_n"] = _rounded(np.array([np.linalg.norm(moment.contact_forces_n, axis=1) for moment in moments]))
+    for number, (name, curve) in enumerate(curves):
+        arrays[f"curves_{number}"] = _rounded(np.array([curve.read(moment.info[name]) for moment in ends]), _DECIMALS)
     if perspective is not None:
         heights = [perspective.progress.heights_mm(moment.info) for moment in ends]
         arrays["heights_mm"] = _rounded(np.array(heights))

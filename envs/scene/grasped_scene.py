@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..deterministic_math import sine_cosine
 from ..fem.contact.forces import PairForces
 from ..fem.model.mesh import GelBody, PronyBranch, RigidBody, SurfaceMesh
 from ..fem.model.settings import AnyContactSettings, ContactSettings, SolverSettings, repr_without_defaults
@@ -116,11 +117,13 @@ class _Measurements:
         views_m: what both sensors see [m], shape [s, 3] each.
         held_m: all vertices of the held part's surface in the world [m], shape [v, 3].
         surface_diff_m: mean motion of both sensing surfaces since the reference [m].
+        gel_contact_forces_n: forces of contacts on the nodes of both gels [N], shape [2, n, 3].
     """
 
     views_m: list[FloatArray] | None = None
     held_m: FloatArray | None = None
     surface_diff_m: list[float] | None = None
+    gel_contact_forces_n: FloatArray | None = None
 
 
 def fixed_at_origin(mesh: SurfaceMesh, *, friction: float) -> RigidBody:
@@ -341,6 +344,29 @@ class GraspedScene:
         """
         gels = np.array(self._last_report.gel_forces_n) if self._last_report else np.zeros((SENSOR_COUNT, 3))
         return np.concatenate([gels.sum(axis=0, keepdims=True), gels])
+
+    def gel_contact_forces_n(self) -> FloatArray:
+        """Return the forces of contacts on the nodes of the left and the right gel [N], in the world, shape [2, n, 3].
+
+        They are those of the last IPC step; zero before the first one, also after `restore`.
+        """
+        if self._measured.gel_contact_forces_n is None:
+            self._measured.gel_contact_forces_n = np.array(self._scene.gel_contact_forces_n()[:SENSOR_COUNT])
+        return self._measured.gel_contact_forces_n
+
+    def wrench_on_gripper(self, above_m: float) -> FloatArray:
+        """Return force [N] and moment [N m] of all contacts on the gripper's gels, in its axes, shape [6].
+
+        Args:
+            above_m: height of the point that the moment is about above the middle between both gels' centres [m].
+        """
+        pose, forces_n = self._gripper.pose, self.gel_contact_forces_n().reshape(-1, 3)
+        about_m = np.array([pose.x_m, pose.y_m, pose.z_m + above_m])
+        arms_m = np.concatenate([self.gel_nodes_m(index) for index in range(SENSOR_COUNT)]) - about_m
+        wrench = np.concatenate([forces_n, np.cross(arms_m, forces_n)], axis=1).sum(axis=0).reshape(2, 3)
+        sine, cosine = sine_cosine(pose.angle_rad)
+        x, y, z = wrench.T
+        return np.stack([cosine * x + sine * y, cosine * y - sine * x, z], axis=1).ravel()
 
     def pair_forces(self) -> PairForces:
         """Return the forces of contacts in the last IPC step.

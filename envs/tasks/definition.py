@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from vitac.errors import VitacError
 
 from ..observable import Observable
+from ..scene.observables import JOINT_WIDTH, TAXEL_FORCES, WRIST_WRENCH
+from ..vision.observables import RGB_IMAGES
 from .quantities import Quantity
 
 if TYPE_CHECKING:
@@ -210,6 +212,9 @@ def _meaning(observable: Observable[Any], task: TaskDefinition) -> str:
         return f"{observable.meaning} **Only where `optional_observables` names it.**"
     return f"{observable.meaning} **Only with `privileged=True`.**" if observable.privileged else observable.meaning
 
+
+OPTIONAL_SENSORS: tuple[Observable[Any], ...] = (RGB_IMAGES, JOINT_WIDTH, WRIST_WRENCH, TAXEL_FORCES)
+"""What any task of a gripper with two gels can observe besides: a track file or an environment's argument names it."""
 
 SURFACE_DIFF = Measure(
     name="surface_diff_mm",

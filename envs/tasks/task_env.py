@@ -176,6 +176,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         self.settings: SettingsT = with_fidelity(given, self.fidelity)
         observed = self.task.with_optional(optional_observables)
         own = observed.observables if privileged else observed.public_observables
+        plotted_keys = tuple(entry.name for entry in own if entry.curves)
         if observation_keys is not None:
             own = chosen_observables(own, observation_keys)
         self._meshes = Meshes(
@@ -185,9 +186,9 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
             is_coarse=self.fidelity is Fidelity.TRAINING,
             is_arena=self.settings.physics.contact.model is ContactModel.ARENA_2,
         )
-        self._observed_keys = tuple(entry.name for entry in own)
+        self._observed_keys, self._plotted_keys = tuple(entry.name for entry in own), plotted_keys
         self._further_observables = tuple(observables)
-        self._observables = self._list_observables()
+        self._observables = self._list_observables(self._observed_keys)
         self._shapes: tuple[Any, ...] = chosen_shapes(self.env_id, self.shape_type, shapes)
         self._randomization = find_randomization(randomization)
         self._draws = check_draws(self.env_id, draws or {}, self.task.quantities)
@@ -216,13 +217,19 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take over a state; the episode in it goes on here with the same bits as there."""
         vars(self).update(state)
-        self._observables = self._list_observables()
+        self._observables = self._list_observables(self._observed_keys)
 
-    def _list_observables(self) -> tuple[Observable[SceneT], ...]:
+    def _list_observables(self, keys: Iterable[str]) -> tuple[Observable[SceneT], ...]:
+        """Return the task's own observables of these keys, and those that were added."""
         own = {entry.name: entry for entry in (*self.task.observables, *self.task.optional_observables)}
         nodes = self._meshes.sensing_node_count()
-        chosen = (*(own[key] for key in self._observed_keys), *self._further_observables)
+        chosen = (*(own[key] for key in keys), *self._further_observables)
         return tuple(entry.with_nodes(nodes) for entry in chosen)
+
+    @property
+    def plotted_observables(self) -> tuple[Observable[SceneT], ...]:
+        """Those with curves, whose values are in every info; `observation_keys` leaves none of them out."""
+        return tuple(entry for entry in self._list_observables(self._plotted_keys) if entry.curves)
 
     @property
     def env_id(self) -> str:
@@ -437,6 +444,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
             **self._info(flags),
             **limited,
             **drawn,
+            **{entry.name: self._value(entry) for entry in self.plotted_observables},
             "end_reason": None if end_reason is None else str(end_reason),
             "step_reports": self.scene.take_reports(),
         }

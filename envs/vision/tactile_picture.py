@@ -6,9 +6,7 @@ the markers, and with noise in every pixel that follows from the episode's seed.
 fixed order, so the bits are the same on every machine. Channels are blue, green, red, as in the challenge.
 """
 
-import hashlib
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +14,7 @@ from numpy.typing import NDArray
 from ..compilation import kernel, large_kernel
 from ..fem.algebra import Vec3
 from ..fem.model.mesh import GelMesh
+from ..observable import noise_digest
 from ..scene.grasped_scene import GraspedScene
 from ..tactile.camera import CHALLENGE_CAMERA, CameraIntrinsics, camera_frame
 from ..tactile.gel import eye_distance_m, highest_mm
@@ -145,10 +144,8 @@ def draw_tactile_pictures(scene: GraspedScene, random: np.random.Generator) -> T
 
 def _noise_keys(random: np.random.Generator, flow: NDArray[np.float32]) -> list[int]:
     """Return a number for the noise of each picture, from the episode's seed and its markers; nothing is drawn."""
-    seed: Any = random.bit_generator.seed_seq
-    child = np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, _NOISE_STREAM))
-    words = child.generate_state(4).astype("<u4").tobytes() + flow.astype("<f4").tobytes()
-    keys: list[int] = np.frombuffer(hashlib.sha256(words).digest(), "<u8")[: len(flow)].tolist()
+    digest = noise_digest(random, _NOISE_STREAM, flow.astype("<f4").tobytes())
+    keys: list[int] = np.frombuffer(digest, "<u8")[: len(flow)].tolist()
     return keys
 
 

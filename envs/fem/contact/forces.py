@@ -226,11 +226,26 @@ class PairForces(NamedTuple):
     forces_n: FloatArray  # [k, 3]
     normals: FloatArray  # [k, 3] unit vectors from the second body to the first
     gaps_m: FloatArray  # [k]
+    points: IndexArray  # [k, 4] surface points of the pair
+    shares: FloatArray  # [k, 4] of the force that acts on each point, below zero on those of the second body
 
 
 def no_forces() -> PairForces:
     """Return the forces where nothing touches."""
-    return PairForces(np.empty((0, 2), np.int64), np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
+    return _room_for_forces(0)
+
+
+@allocating_kernel
+def _room_for_forces(count: int) -> PairForces:
+    return PairForces(
+        np.empty((count, 2), np.int64),
+        np.empty((count, 3)),
+        np.empty((count, 3)),
+        np.empty((count, 3)),
+        np.empty(count),
+        np.empty((count, 4), np.int64),
+        np.empty((count, 4)),
+    )
 
 
 @allocating_kernel
@@ -245,14 +260,7 @@ def pair_forces(model: Model, x: FloatArray, x_start: FloatArray, memory: Contac
     point_positions(model.points, x_start, y_start)
     d_hat, surfaces, terms = model.parameters.d_hat_m, model.surfaces, new_terms()
     candidates = find_candidates(surfaces, y, np.full(len(surfaces.pairs), d_hat))
-    capacity, count = TERM_COUNT * len(candidates.pair_type), 0
-    found = PairForces(
-        np.empty((capacity, 2), np.int64),
-        np.empty((capacity, 3)),
-        np.empty((capacity, 3)),
-        np.empty((capacity, 3)),
-        np.empty(capacity),
-    )
+    found, count = _room_for_forces(TERM_COUNT * len(candidates.pair_type)), 0
     for k in range(len(candidates.pair_type)):
         pair_type, points = candidates.pair_type[k], candidates.points
         corners = _corners(points, k, y)
@@ -284,6 +292,8 @@ def pair_forces(model: Model, x: FloatArray, x_start: FloatArray, memory: Contac
             set_row(found.forces_n, count, force)
             set_row(found.normals, count, n)
             found.gaps_m[count] = np.sqrt(dot(r, r))
+            for i in range(4):
+                found.points[count, i], found.shares[count, i] = points[k, i], c[i]
             count += 1
     return PairForces(
         found.bodies[:count],
@@ -291,6 +301,8 @@ def pair_forces(model: Model, x: FloatArray, x_start: FloatArray, memory: Contac
         found.forces_n[:count],
         found.normals[:count],
         found.gaps_m[:count],
+        found.points[:count],
+        found.shares[:count],
     )
 
 

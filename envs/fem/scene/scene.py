@@ -302,6 +302,15 @@ class Scene:
         start, memory = self._last_start
         return pair_forces(self._model, self._x, start, memory)
 
+    def gel_contact_forces_n(self) -> list[FloatArray]:
+        """Return the forces of contacts on the nodes of each gel at the end of the last IPC step [N], shapes [n, 3]."""
+        pairs, points = self.contact_forces(), self._model.points
+        on_points, on_nodes = np.zeros((len(points.node_count), 3)), np.zeros_like(self._x)
+        np.add.at(on_points, pairs.points, pairs.shares[:, :, None] * pairs.forces_n[:, None, :])
+        of_gels = points.node_count == 1
+        on_nodes[points.nodes[of_gels, 0]] = on_points[of_gels]
+        return [on_nodes[rows] for rows in self._layout.gel_slices]
+
     def gel_positions_m(self, index: int) -> FloatArray:
         """Return the world positions of a gel's nodes [m], shape [n, 3] (a copy)."""
         return self._x[self._layout.gel_slices[index]].copy()

@@ -9,8 +9,7 @@ from ...observable import Observable
 from ...scene.observables import CONTACT_FORCES, MEASURED_POSE, SURFACE_POINTS, marker_flow, played_shape
 from ...scene.perspective import Beside, FloatArray, InfoView, Perspective, Plane, ProgressPlot, SectionView, signed
 from ...tactile.gel import ARENA_SENSING_NODES
-from ...vision.observables import RGB_IMAGES
-from ..definition import SURFACE_DIFF, ActionComponent, Better, Measure, TaskDefinition
+from ..definition import OPTIONAL_SENSORS, SURFACE_DIFF, ActionComponent, Better, Measure, TaskDefinition
 from ..quantities import TOUCH_QUANTITIES
 
 
@@ -100,7 +99,7 @@ TASK = TaskDefinition(
         CONTACT_FORCES,
         SURFACE_POINTS.with_nodes(ARENA_SENSING_NODES),
     ),
-    optional_observables=(RGB_IMAGES,),
+    optional_observables=OPTIONAL_SENSORS,
     measures=(SURFACE_DIFF, BRIER),
     perspective="vitac.envs.tasks.explore.definition:PERSPECTIVE",
     guided_motion="vitac.envs.tasks.explore.env:touch_around",

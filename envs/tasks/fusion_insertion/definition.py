@@ -7,9 +7,9 @@ import numpy as np
 from ...geometry.bases import RIM_MM
 from ...observable import Observable
 from ...scene.observables import CONTACT_FORCES, MEASURED_POSE, SURFACE_POINTS, played_shape
-from ...vision.observables import DEPTH_PICTURE, OBJECT_POINT_CLOUD, POINT_CLOUD, RGB_IMAGES, RGB_PICTURE
+from ...vision.observables import DEPTH_PICTURE, OBJECT_POINT_CLOUD, POINT_CLOUD, RGB_PICTURE
 from ...vision.stereo.method import METHOD
-from ..definition import SURFACE_DIFF, ActionComponent, TaskDefinition
+from ..definition import OPTIONAL_SENSORS, SURFACE_DIFF, ActionComponent, TaskDefinition
 from ..insertion.interface import (
     INSERTION_QUANTITIES,
     MARKER_FLOW,
@@ -114,7 +114,7 @@ TASK = TaskDefinition(
         CONTACT_FORCES,
         SURFACE_POINTS,
     ),
-    optional_observables=(RGB_IMAGES,),
+    optional_observables=OPTIONAL_SENSORS,
     measures=(SURFACE_DIFF, PEG_HEIGHT),
     methods=(METHOD,),
     perspective="vitac.envs.tasks.fusion_insertion.definition:PERSPECTIVE",

@@ -8,8 +8,7 @@ from ...observable import Observable
 from ...scene.observables import CONTACT_FORCES, MEASURED_POSE, SURFACE_POINTS, marker_flow, played_shape
 from ...scene.perspective import Beside, FloatArray, InfoView, Perspective, Plane, ProgressPlot, SectionView, signed
 from ...tactile.gel import ARENA_SENSING_NODES
-from ...vision.observables import RGB_IMAGES
-from ..definition import SURFACE_DIFF, ActionComponent, Better, Measure, TaskDefinition
+from ..definition import OPTIONAL_SENSORS, SURFACE_DIFF, ActionComponent, Better, Measure, TaskDefinition
 from ..quantities import TOUCH_QUANTITIES, symmetric
 
 TOLERANCE_DEG = 1.5
@@ -95,7 +94,7 @@ TASK = TaskDefinition(
         CONTACT_FORCES,
         SURFACE_POINTS.with_nodes(ARENA_SENSING_NODES),
     ),
-    optional_observables=(RGB_IMAGES,),
+    optional_observables=OPTIONAL_SENSORS,
     measures=(ANGLE_ERROR, SURFACE_DIFF),
     perspective="vitac.envs.tasks.in_hand_turn.definition:PERSPECTIVE",
     guided_motion="vitac.envs.tasks.in_hand_turn.env:press_until_it_stays",

@@ -10,8 +10,16 @@ from numpy.typing import NDArray
 from ...observable import Observable
 from ...scene.observables import CONTACT_FORCES, MEASURED_POSE, SURFACE_POINTS, marker_flow, played_shape
 from ...scene.perspective import Beside, Perspective, Plane, ProgressPlot, SectionView, signed
-from ...vision.observables import RGB_IMAGES
-from ..definition import SURFACE_DIFF, ActionComponent, Flags, InfoView, Measure, TaskDefinition, surface_moved_too_far
+from ..definition import (
+    OPTIONAL_SENSORS,
+    SURFACE_DIFF,
+    ActionComponent,
+    Flags,
+    InfoView,
+    Measure,
+    TaskDefinition,
+    surface_moved_too_far,
+)
 from ..quantities import TOUCH_QUANTITIES, Quantity, symmetric
 
 FloatArray = NDArray[np.float64]
@@ -116,7 +124,7 @@ TASK = TaskDefinition(
         CONTACT_FORCES,
         SURFACE_POINTS,
     ),
-    optional_observables=(RGB_IMAGES,),
+    optional_observables=OPTIONAL_SENSORS,
     measures=(
         SURFACE_DIFF,
         Measure(

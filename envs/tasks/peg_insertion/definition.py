@@ -1,8 +1,7 @@
 """The peg task as others need to know it: actions, observables, how it is drawn; light to import."""
 
 from ...scene.observables import CONTACT_FORCES, MEASURED_POSE, SURFACE_POINTS, played_shape
-from ...vision.observables import RGB_IMAGES
-from ..definition import SURFACE_DIFF, TaskDefinition
+from ..definition import OPTIONAL_SENSORS, SURFACE_DIFF, TaskDefinition
 from ..insertion.interface import (
     INSERTION_QUANTITIES,
     MARKER_FLOW,
@@ -49,7 +48,7 @@ TASK = TaskDefinition(
         CONTACT_FORCES,
         SURFACE_POINTS,
     ),
-    optional_observables=(RGB_IMAGES,),
+    optional_observables=OPTIONAL_SENSORS,
     measures=(SURFACE_DIFF, PEG_HEIGHT),
     perspective="vitac.envs.tasks.peg_insertion.definition:PERSPECTIVE",
     guided_motion="vitac.envs.tasks.peg_insertion.env:to_the_hole",

@@ -16,8 +16,7 @@ from ...scene.observables import (
 )
 from ...scene.perspective import Beside, InfoView, Perspective, Plane, ProgressPlot, SectionView, signed
 from ...tactile.gel import ARENA_SENSING_NODES
-from ...vision.observables import RGB_IMAGES
-from ..definition import SURFACE_DIFF, ActionComponent, Better, Measure, TaskDefinition
+from ..definition import OPTIONAL_SENSORS, SURFACE_DIFF, ActionComponent, Better, Measure, TaskDefinition
 from ..quantities import TOUCH_QUANTITIES, Quantity, symmetric
 
 FloatArray = NDArray[np.float64]
@@ -100,7 +99,7 @@ TASK = TaskDefinition(
         CONTACT_FORCES,
         SURFACE_POINTS.with_nodes(ARENA_SENSING_NODES),
     ),
-    optional_observables=(RGB_IMAGES,),
+    optional_observables=OPTIONAL_SENSORS,
     measures=(GRIP_FORCE, SURFACE_DIFF),
     perspective="vitac.envs.tasks.slip.definition:PERSPECTIVE",
     guided_motion="vitac.envs.tasks.slip.env:with_the_force_it_needs",

@@ -2,9 +2,16 @@
 
 from typing import TYPE_CHECKING
 
-from vitac.envs.observable import Observable
+from vitac.envs.observable import Curves, Observable
 from vitac.envs.scene.observables import CONTACT_FORCES, marker_flow
-from vitac.envs.tasks.definition import SURFACE_DIFF, ActionComponent, Measure, TaskDefinition
+from vitac.envs.tasks.definition import (
+    OPTIONAL_SENSORS,
+    SURFACE_DIFF,
+    ActionComponent,
+    Better,
+    Measure,
+    TaskDefinition,
+)
 
 if TYPE_CHECKING:
     from .scene import SwitchScene
@@ -18,6 +25,7 @@ TRAVEL: "Observable[SwitchScene]" = Observable(
     unit="mm",
     meaning="How far the gripper has come down since the start.",
     read=lambda scene, _: scene.travel_mm(),
+    curves=(Curves(title="Travel [mm]", names=("down",)),),
 )
 GT_HEIGHT: "Observable[SwitchScene]" = Observable(
     name="gt_height",
@@ -33,8 +41,18 @@ TASK = TaskDefinition(
     environment="press_switch.env:SwitchEnv",
     actions=(ActionComponent(name="press", scale=0.5, unit="mm", meaning="Gripper motion downwards."),),
     observables=(GT_HEIGHT, CONTACT_FORCES, TRAVEL, marker_flow("u+ is up for both sensors.")),
+    optional_observables=OPTIONAL_SENSORS,
     measures=(
         SURFACE_DIFF,
+        Measure(
+            name="travel_mm",
+            label="travel",
+            meaning="way of the gripper down",
+            unit="mm",
+            needs=("travel",),
+            read=lambda info: tuple(info["travel"]),
+            better=Better.LOW,
+        ),
         Measure(
             name="gap_mm",
             label="finger",

@@ -83,6 +83,52 @@ def test_it_is_evaluated_in_the_sandbox(log: Path) -> None:
     assert starts == [("small", [4.6]), ("large", [3.3]), ("large", [1.9])]
 
 
+def test_its_own_observable_is_in_the_records_and_among_the_measures(log: Path) -> None:
+    records = [json.loads(line)["record"] for line in log.read_text().splitlines() if '"record"' in line]
+    ends = [record["infos"][-1]["travel"] for record in records]
+    measured = json.loads(log.with_suffix(".json").read_text())["score"]["measures"]["travel_mm"]
+    assert measured == pytest.approx(sum(mm for (mm,) in ends) / 3)
+    assert 1 < measured < 6
+
+
+WRIST_POLICY = """
+import numpy as np
+
+
+class Policy:
+    def reset(self, task):
+        pass
+
+    def act(self, observation):
+        pressed_n = observation["wrist_wrench"][2]
+        assert observation["taxel_forces"].shape == (2, 3, 4, 3)
+        return np.array([0.7 if pressed_n < 1.0 else 0.2], dtype=np.float32)
+"""
+
+
+def test_a_track_of_its_own_adds_sensors_that_a_policy_presses_by(packages: Path, tmp_path: Path) -> None:
+    """A file alone: neither the package nor the arena knows of it."""
+    track = (EXAMPLE / "tracks" / "switch.yaml").read_text()
+    added = "force_limit_n: 10\n    optional_observables: [wrist_wrench, taxel_forces]\n"
+    (tmp_path / "tracks").mkdir()
+    (tmp_path / "tracks" / "switch.yaml").write_text(track.replace("force_limit_n: 10\n", added))
+    submission = tmp_path / "submission" / "Switch"
+    submission.mkdir(parents=True)
+    (submission / "policy.py").write_text(WRIST_POLICY)
+    keys = "observation_keys: [wrist_wrench, taxel_forces]\n"
+    (submission / "submission.yaml").write_text((SUBMISSION / "submission.yaml").read_text() + keys)
+    log = tmp_path / "wrist.jsonl"
+    variables = {"VITAC_TRACKS_DIR": str(tmp_path / "tracks")}
+    vitac(packages, "evaluate", submission, "--workers", 1, "--log", log, "--json", tmp_path / "report", **variables)
+    report = json.loads((tmp_path / "report").read_text())
+    assert (report["failure"], report["score"]["success_rate"]) == (None, 1.0)
+    records = [json.loads(line)["record"] for line in log.read_text().splitlines() if '"record"' in line]
+    for record in records:
+        ended = record["infos"][-1]
+        assert ended["wrist_wrench"][2] == pytest.approx(ended["button_force_n"], abs=0.6)
+    assert "verified" in vitac(packages, "log", "verify", log, **variables)
+
+
 def test_its_log_is_verified(packages: Path, log: Path) -> None:
     assert "verified" in vitac(packages, "log", "verify", log)
 
@@ -114,7 +160,9 @@ def test_it_stands_on_a_board(packages: Path) -> None:
     folders = {"VITAC_STATE_DIR": str(state_directory()), "VITAC_PORT": "0"}
     output = vitac(packages, "demo", "--exit", "--submission", SUBMISSION, **folders)
     assert "3 of 3 episodes, 3 successes" in output
-    assert any(line.split()[:2] == ["1", "demo"] for line in output.splitlines())
+    (row,) = [line.split() for line in output.splitlines() if line.split()[:2] == ["1", "demo"]]
+    assert "Travel [mm]" in output
+    assert float(row[-1]) == pytest.approx(2.93, abs=0.2)
 
 
 def test_what_the_tutorial_shows_of_a_file_stands_in_it() -> None:

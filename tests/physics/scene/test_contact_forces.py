@@ -44,3 +44,24 @@ def test_forces_of_pairs_add_up_to_those_of_the_bodies(contact: ArenaContactSett
         total = found.forces_n[first == gel].sum(axis=0) - found.forces_n[second == gel].sum(axis=0)
         np.testing.assert_allclose(total, reported, atol=2e-3)
     assert np.abs(found.points_m[:, 2]) == pytest.approx(0.005, abs=2e-4)
+
+
+@pytest.mark.parametrize("contact", [None, arena_contact(0.5)])
+def test_forces_on_the_nodes_of_a_gel_are_those_that_its_back_holds(contact: ArenaContactSettings | None) -> None:
+    """Force and moment, so that they act on the right nodes; on both sides of a pair they cancel."""
+    grip = Grip(contact=contact)
+    assert not any(on_nodes_n.any() for on_nodes_n in grip.scene.gel_contact_forces_n())
+    for _ in range(3):
+        grip.squeeze(1e-4)
+    grip.move(np.array([2e-4, 0.0, 0.0]), np.array([2e-4, 0.0, 1e-4]))
+    forces, start = Probe(grip.scene).at(grip.scene._x).all_forces_n, 0
+    for index, (gel, on_nodes_n) in enumerate(zip(grip.gels, grip.scene.gel_contact_forces_n(), strict=True)):
+        nodes_m, driven = grip.scene.gel_positions_m(index), gel.mesh.driven_nodes
+        back_n = -forces[start + driven]
+        np.testing.assert_allclose(on_nodes_n.sum(axis=0), back_n.sum(axis=0), atol=2e-3)
+        held_n_m = np.cross(nodes_m[driven], back_n).sum(axis=0)
+        np.testing.assert_allclose(np.cross(nodes_m, on_nodes_n).sum(axis=0), held_n_m, atol=2e-5)
+        assert np.abs(held_n_m).max() > 1e-3
+        inside = np.setdiff1d(np.arange(len(nodes_m)), gel.mesh.surface_nodes)
+        assert not on_nodes_n[inside].any()
+        start += len(nodes_m)

@@ -66,6 +66,12 @@ class FakeScene:
         centres_m = np.array([centre for _, centre in self.placed])
         return no_forces()._replace(bodies=np.array([[0, 2], [1, 2]]), points_m=centres_m, forces_n=forces_n)
 
+    def gel_contact_forces_n(self) -> list[np.ndarray]:
+        """The force on each gel, the same on all nodes of its sensing face."""
+        forces_n = report(part_force_n=self.part_force_n).gel_forces_n
+        shares = [gel.mesh.sensing / np.count_nonzero(gel.mesh.sensing) for gel in self.gels]
+        return [share[:, None] * np.array(force_n) for share, force_n in zip(shares, forces_n, strict=False)]
+
     def gel_positions_m(self, index: int) -> np.ndarray:
         mesh, (rotation, centre) = self.gels[index].mesh, self.placed[index]
         rest = mesh.rest_position_m + self.bulge_m * np.array([0.0, 0.0, 1.0]) * mesh.sensing[:, None]

@@ -1,5 +1,6 @@
 import io
 import re
+from collections.abc import Iterable
 
 import pytest
 from rich.console import Console
@@ -7,8 +8,15 @@ from vitac.cli.client.progress import EvaluationProgress, situation
 from vitac.cli.demo.display import BAR_WIDTH, DemoDisplay, interval_bar
 
 
-def board(*entries: dict[str, object]) -> dict[str, object]:
-    return {"title": "Tactile manipulation", "task": None, "is_practice": True, "entries": list(entries)}
+def board(*entries: dict[str, object], keys: Iterable[str] = ("success_rate", "mean_steps")) -> dict[str, object]:
+    ranking = {"keys": [{"name": name, "title": f"{name} [mm]"} for name in (*keys, "submitted_at")]}
+    return {
+        "title": "Tactile manipulation",
+        "task": None,
+        "is_practice": True,
+        "entries": list(entries),
+        "ranking": ranking,
+    }
 
 
 def entry(
@@ -21,6 +29,7 @@ def entry(
         "success_rate": rate,
         "success_rate_interval": interval,
         "mean_steps": None if rate == 0 else 4.5,
+        "measures": {"travel": 2.933},
         "scores": [{"task": f"task-{n}", "success_rate": rate, "shapes": shapes} for n in range(tasks)],
     }
 
@@ -85,6 +94,15 @@ def test_the_leaderboard_fits_eighty_columns(terminal: bool) -> None:
     assert max(len(line) for line in printed.splitlines()) <= 80
     for part in ("50.0 %", "40.0 to 60.0 %", "4.50", "demo by shape: cuboid 50.0 %", "…"):
         assert part in printed
+
+
+def test_a_board_that_ranks_by_a_measure_shows_it_in_place_of_env_steps() -> None:
+    display, raw = shown(terminal=False)
+    display.leaderboard(board(entry(1, "demo", 0.5), keys=("success_rate", "travel")), "demo")
+    heading, row = [line.split() for line in plain(raw).splitlines() if "Rank" in line or "demo" in line][:2]
+    assert heading[-2:] == ["travel", "[mm]"]
+    assert row[-1] == "2.93"
+    assert "Env steps" not in plain(raw)
 
 
 def test_of_several_tasks_the_leaderboard_says_the_rate_of_each() -> None:

@@ -3,12 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from unpacked_files import Unpacked, unpack
-from vitac.envs.drawing.drawable import NotDrawable
-from vitac.envs.drawing.playback import EpisodePlayback
+from vitac.envs.drawing.drawable import NotDrawable, straight_to_target
+from vitac.envs.drawing.playback import EpisodePlayback, Pace, record
 from vitac.envs.fem.contact.forces import PairForces, no_forces
 from vitac.envs.playback_files import scene
 from vitac.envs.playback_files.container import PlaybackTooLarge
 from vitac.envs.playback_files.scene import PLACES, SCENE_BYTES, make_arrows, pack_scene
+from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
 
 
 @pytest.fixture
@@ -179,3 +180,19 @@ def test_nothing_that_touches_is_no_arrow_and_many_places_are_the_strongest() ->
     assert not make_arrows(no_forces())[1].any()
     row = [(HELD, FIXED, (5.0 * at, 0.0, 0.0), (0.0, 0.0, float(at))) for at in range(1, 10)]
     assert make_arrows(found(*row))[1][2:, 2].tolist() == [9, 8, 7, 6, 5, 4][:PLACES]
+
+
+@pytest.mark.usefixtures("fake_scenes")
+def test_curves_of_observables_have_one_value_for_each_env_step() -> None:
+    env = PegInsertionEnv(optional_observables=("wrist_wrench", "joint_width"))
+    playback = record(env, options={"rng_seed": (0, 5)}, next_action=straight_to_target(env.env_id), pace=Pace.IPC_STEP)
+    file = unpack(pack_scene(playback))
+    assert file.header["curves"] == [
+        {"title": "Joint width [mm]", "names": ["width"]},
+        {"title": "Wrist force [N]", "names": ["x", "y", "z"]},
+        {"title": "Wrist moment [N m]", "names": ["x", "y", "z"]},
+    ]
+    wrenches = np.array([playback.moments[index].info["wrist_wrench"] for index in playback.last_moments])
+    assert len(wrenches) == len(playback.rewards) + 1 > 2
+    np.testing.assert_allclose(file.arrays["curves_1"], wrenches[:, :3], atol=6e-4)
+    np.testing.assert_allclose(file.arrays["curves_2"], wrenches[:, 3:], atol=6e-4)

@@ -324,3 +324,21 @@ def test_viscosity_is_in_the_settings_text_that_is_hashed_only_where_there_is_an
     assert plain.endswith(", gel_density_kg_m3=1000.0, gel_friction=87.5, rigid_density_kg_m3=500.0)")
     branch = PronyBranch(modulus_ratio=0.5, relaxation_time_s=2.0)
     assert repr(PhysicsSettings(viscosity=(branch,))) == f"{plain[:-1]}, viscosity=({branch!r},))"
+
+
+def test_the_wrench_on_the_gripper_is_in_its_axes_and_about_a_point_above_it(
+    fake_scenes: list[FakeScene], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One force of 2 N downwards and 1 N along the world's x, on a node of the left gel."""
+    made = scene()
+    node = int(made.gel.sensing_nodes[10])
+    on_nodes_n = [np.zeros_like(made.gel.rest_position_m) for _ in range(2)]
+    on_nodes_n[0][node] = [1.0, 0.0, -2.0]
+    monkeypatch.setattr(fake_scenes[0], "gel_contact_forces_n", lambda: on_nodes_n)
+    made.move_to(POSE.moved(x_m=0.01, angle_rad=0.5 * np.pi), ipc_steps=1)
+    arm_m = made.gel_nodes_m(0)[node] - np.array([0.01, 0.0, POSE.z_m + 0.15])
+    moment_n_m = np.cross(arm_m, [1.0, 0.0, -2.0])
+    # The gripper's x is the world's y, its y is against the world's x.
+    expected = [0.0, -1.0, -2.0, moment_n_m[1], -moment_n_m[0], moment_n_m[2]]
+    assert made.wrench_on_gripper(0.15) == pytest.approx(expected, abs=1e-12)
+    assert abs(moment_n_m[1]) > 0.1

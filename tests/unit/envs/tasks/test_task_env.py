@@ -216,3 +216,71 @@ def test_truths_change_no_markers() -> None:
     plain, _ = PegInsertionEnv().reset(options=START)
     seen, _ = PegInsertionEnv(privileged=True).reset(options=START)
     np.testing.assert_array_equal(plain["marker_flow"], seen["marker_flow"])
+
+
+SENSORS = ("joint_width", "wrist_wrench", "taxel_forces")
+
+
+@pytest.mark.parametrize("env_type", [PegInsertionEnv, LockOpeningEnv, FusionInsertionEnv])
+def test_further_sensors_are_optional_in_every_task_and_stand_in_its_info(env_type: Any) -> None:
+    env = env_type(optional_observables=SENSORS)
+    env.reset(options={"rng_seed": (0, 1)})
+    observation, *_, info = env.step(np.zeros(len(env.task.actions), dtype=np.float32))
+    assert observation in env.observation_space
+    for name in SENSORS:
+        assert name in observation
+        np.testing.assert_array_equal(observation[name], info[name])
+        for curve in next(entry for entry in env.plotted_observables if entry.name == name).curves:
+            assert len(curve.read(info[name])) == len(curve.names)
+
+
+def test_what_is_not_asked_for_is_in_no_info() -> None:
+    env = PegInsertionEnv()
+    _, info = env.reset(options=START)
+    assert not set(SENSORS) & set(info)
+
+
+def test_readings_have_the_same_noise_whatever_is_observed_and_another_at_every_moment_and_seed() -> None:
+    def readings(seed: int, keys: tuple[str, ...] | None) -> list[dict[str, Any]]:
+        env = PegInsertionEnv(optional_observables=SENSORS, observation_keys=keys)
+        infos = [env.reset(options=START | {"rng_seed": (0, seed)})[1]]
+        infos.append(env.step(np.zeros(3, dtype=np.float32))[-1])
+        return [{name: info[name] for name in SENSORS} for info in infos]
+
+    seen, alone, other = readings(1, None), readings(1, ("joint_width",)), readings(2, None)
+    for name in SENSORS:
+        np.testing.assert_array_equal([each[name] for each in seen], [each[name] for each in alone])
+    for name in ("wrist_wrench", "taxel_forces"):
+        different = [seen[0][name], seen[1][name], other[0][name]]
+        assert all((one != two).any() for one, two in combinations(different, 2))
+
+
+def test_further_sensors_change_no_markers() -> None:
+    plain, seen = PegInsertionEnv(), PegInsertionEnv(optional_observables=SENSORS)
+    for env in (plain, seen):
+        env.reset(options=START)
+    one, other = (env.step(np.zeros(3, dtype=np.float32))[0] for env in (plain, seen))
+    np.testing.assert_array_equal(one["marker_flow"], other["marker_flow"])
+
+
+def test_sensors_read_what_acts_with_the_noise_that_they_say(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The stand-in pushes 5 N on both gels, and 3 N up on the left one."""
+    monkeypatch.setattr(FakeScene, "part_force_n", 3.0)
+    env = PegInsertionEnv(optional_observables=SENSORS)
+    env.reset(options=START)
+    infos = [env.step(np.zeros(3, dtype=np.float32))[-1] for _ in range(40)]
+    wrenches = np.array([info["wrist_wrench"] for info in infos])
+    np.testing.assert_allclose(wrenches[:, :3].mean(axis=0), [0.0, 0.0, 3.0], atol=0.06)
+    np.testing.assert_allclose(wrenches.std(axis=0), np.repeat([0.1, 0.005], 3), rtol=0.4)
+    taxels = np.array([info["taxel_forces"] for info in infos])
+    np.testing.assert_allclose(taxels.std(axis=0).mean(), 0.02, rtol=0.1)
+    # The left gel looks along -y with its u upwards, the right one along +y.
+    np.testing.assert_allclose(taxels.mean(axis=0).sum(axis=(1, 2)), [[3.0, 0.0, 5.0], [0.0, 0.0, 5.0]], atol=0.05)
+
+
+def test_the_joint_width_is_that_of_the_gripper_in_the_steps_of_its_encoder() -> None:
+    env = PegInsertionEnv(optional_observables=("joint_width",))
+    observation, _ = env.reset(options=START)
+    counts = observation["joint_width"][0] / (50.0 / 255.0)
+    assert counts == pytest.approx(round(counts), abs=1e-4)
+    assert observation["joint_width"][0] == pytest.approx(1e3 * env.scene.gripper_width_m, abs=25.0 / 255.0 + 1e-5)
