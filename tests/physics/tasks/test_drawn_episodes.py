@@ -8,7 +8,10 @@ from vitac.evaluator.episodes.episode import json_info, make_environment
 from vitac.evaluator.episodes.replay import resimulate
 from vitac.evaluator.tracks import Task, find_task
 
-TASKS = ["peg-insertion-robust", "lock-opening-robust", "fusion-robust"]
+TASKS = [
+    *("peg-insertion-robust", "lock-opening-robust", "fusion-robust"),
+    *("explore-robust", "moving-hole-robust", "slip-robust"),
+]
 
 
 @pytest.fixture(params=TASKS)
