@@ -140,7 +140,7 @@ def check(
         source, demonstrations = read_folder(folder)
         with EpisodeCounter() as counter:
             report = partial(counter.show_played, folder)
-            replayed = replay_some(source, demonstrations, count=replay, processes=processes, report=report)
+            replayed = len(replay_some(source, demonstrations, count=replay, processes=processes, report=report))
     if as_json:
         print_json({"faults": faults, "replayed": replayed})
     else:

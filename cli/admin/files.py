@@ -124,6 +124,7 @@ def publish_baseline(
 
     All their episodes by marker flow alone count, and each is played again here first: what differs is refused.
     """
+    from vitac.evaluator.scoring.score import read_measures
     from vitac.training.demonstrations.collecting import DemonstrationKind
     from vitac.training.demonstrations.replaying import read_folder, replay
 
@@ -133,9 +134,15 @@ def publish_baseline(
         raise NothingByTouch(f"{folder} has no episode that was played by marker flow alone; play some: vitac play.")
     with EpisodeCounter() as counter:
         report = partial(counter.show_played, folder)
-        replay(source, felt, count=len(felt), processes=processes, report=report)
+        last_infos = replay(source, felt, count=len(felt), processes=processes, report=report)
     episodes = [
-        {"shape": each.shape, "is_solved": each.is_success, "env_steps": each.actions.shape[0]} for each in felt
+        {
+            "shape": each.shape,
+            "is_solved": each.is_success,
+            "env_steps": each.actions.shape[0],
+            "measures": read_measures(last_infos[each.episode], source.task.definition.measures),
+        }
+        for each in felt
     ]
     values = {"track": source.manifest.track, "task": source.manifest.task, "episodes": episodes}
     with open_door(context, server, token_file) as door:

@@ -9,7 +9,7 @@ from math import cos, hypot, isfinite, pi, sqrt, tan
 from statistics import NormalDist, fmean, median, stdev
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
-from vitac.envs.tasks.definition import Measure
+from vitac.envs.tasks.definition import InfoView, Measure
 
 from ..episodes.records import ContactForces, EpisodeOutcome, EpisodeRecord, ForceFigures
 from ..strict_model import StrictModel
@@ -132,7 +132,7 @@ def combine(tasks: Collection[str], scores: Mapping[str, Score]) -> CombinedScor
         success_rate=float(rates / len(tasks)),
         interval=interval_of_mean(played, of=len(tasks)),
         mean_steps=fmean(steps) if len(steps) == len(tasks) else None,
-        measures=_average_shared([score.measures for score in played]) if len(played) == len(tasks) else {},
+        measures=average_shared([score.measures for score in played]) if len(played) == len(tasks) else {},
     )
 
 
@@ -261,19 +261,20 @@ def score(records: Collection[EpisodeRecord], measures: Iterable[Measure] = ()) 
         by_shape={shape: _compute_rate(record for record in records if record.shape == shape) for shape in shapes},
         outcomes=dict(sorted(Counter(record.outcome for record in records).items())),
         forces=summarize_forces(record.forces for record in records),
-        measures=_average_shared([_read_measures(record, measures) for record in ordered]),
+        measures=average_shared(
+            [read_measures(record.infos[-1] if record.infos else {}, measures) for record in ordered]
+        ),
         twins=Counter(record.evidence.twin for record in ordered if record.evidence and record.evidence.twin),
     )
 
 
-def _read_measures(record: EpisodeRecord, measures: Iterable[Measure]) -> dict[str, float]:
-    """Return what an episode has of what boards may rank by, after its last env step."""
-    end = record.infos[-1] if record.infos else {}
+def read_measures(end: InfoView, measures: Iterable[Measure]) -> dict[str, float]:
+    """Return what an episode has of what boards may rank by, from the info of its last env step."""
     values = {measure.name: measure.read_end(end) for measure in measures if measure.better is not None}
     return {name: value for name, value in values.items() if value is not None and isfinite(value)}
 
 
-def _average_shared(measured: Sequence[Mapping[str, float]]) -> dict[str, float]:
+def average_shared(measured: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Return the means of what all of them have."""
     shared = [name for name in (measured[0] if measured else ()) if all(name in each for each in measured)]
     return {name: fmean(each[name] for each in measured) for name in shared}

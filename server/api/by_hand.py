@@ -7,7 +7,7 @@ from typing import Annotated
 from uuid import UUID
 
 from fastapi import APIRouter, Request, Response
-from pydantic import Field
+from pydantic import Field, FiniteFloat
 
 from ..competitions.competition import Competition
 from ..decisions import briefs, entered_results
@@ -50,6 +50,7 @@ class PlayedByHand(Input):
     shape: OneLine
     is_solved: bool
     env_steps: int = Field(ge=1, le=100_000)
+    measures: dict[str, FiniteFloat] = Field(default={}, description="Of what boards may rank by, by its name.")
 
 
 class NewHumanBaseline(Input):
@@ -168,7 +169,7 @@ def put_human_baseline(
     services: ChangingServicesOf, principal: OrganizerOf, track: str, task: str, new: NewHumanBaseline
 ) -> BaselineView:
     """Show on boards what people solved of a task by marker flow alone, in place of what was shown before."""
-    episodes = [(one.shape, one.is_solved, one.env_steps) for one in new.episodes]
+    episodes = [(one.shape, one.is_solved, one.env_steps, one.measures) for one in new.episodes]
     with services.database.transaction() as session:
         return baselines.publish_human_baseline(session, principal, track, task, episodes)
 

@@ -4,13 +4,14 @@ The examples' figures are those of `benchmarks/baselines.md` and of their own pa
 published by an organizer, who has what they played.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean
 from typing import Any, TypeAlias
 
 from sqlalchemy.orm import Session
-from vitac.evaluator.scoring.score import Rate, interval_of_mean, rate, rate_by_start
+from vitac.evaluator.ranking import MEAN_STEPS, SUCCESS_RATE
+from vitac.evaluator.scoring.score import Rate, average_shared, interval_of_mean, rate, rate_by_start
 from vitac.evaluator.tracks import Track
 
 from ..audit import record
@@ -89,8 +90,8 @@ _COMBINED = {"track_1_heuristic": ("peg_insertion_heuristic", "lock_opening_heur
 
 
 HUMAN = "human, by marker flow alone"
-PlayedEpisode: TypeAlias = tuple[str, bool, int]
-"""Shape, whether it was solved, and its env steps."""
+PlayedEpisode: TypeAlias = tuple[str, bool, int, dict[str, float]]
+"""Shape, whether it was solved, its env steps, and what it has of what boards may rank by."""
 
 
 def publish_human_baseline(
@@ -106,16 +107,13 @@ def publish_human_baseline(
         episodes: all that were played, each with a start of its own.
 
     Raises:
-        ServiceError: not an organizer, no such task, or a shape that it does not have.
+        ServiceError: not an organizer, no such task, or a shape or measure that it does not have.
     """
     by.require_organizer()
-    shapes = require_task(load_known_track(track), task).episode_list.shapes
-    strange = {shape for shape, _, _ in episodes} - {*shapes}
-    if strange:
-        raise ServiceError(
-            ProblemCode.INVALID_REQUEST,
-            f"Expected shapes of {task} ({', '.join(shapes)}), got {', '.join(sorted(strange))}.",
-        )
+    definition = require_task(load_known_track(track), task)
+    measures = [measure.name for measure in definition.definition.measures if measure.better is not None]
+    _require_known("shapes", task, definition.episode_list.shapes, {shape for shape, *_ in episodes})
+    _require_known("measures", task, measures, {name for *_, values in episodes for name in values})
     row = session.get(HumanBaseline, (track, task))
     before = _summarize(row)
     if row is None:
@@ -125,6 +123,14 @@ def publish_human_baseline(
     session.flush()
     record(session, by, "baseline.publish", f"task:{track}/{task}", _summarize(row) or {}, before=before)
     return _human_view(row)
+
+
+def _require_known(what: str, task: str, known: Collection[str], got: Collection[str]) -> None:
+    if strange := {*got} - {*known}:
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST,
+            f"Expected {what} of {task} ({', '.join(known) or 'it has none'}), got {', '.join(sorted(strange))}.",
+        )
 
 
 def remove_human_baseline(session: Session, by: Principal, track: str, task: str) -> None:
@@ -145,7 +151,7 @@ def remove_human_baseline(session: Session, by: Principal, track: str, task: str
 def _summarize(row: HumanBaseline | None) -> dict[str, int] | None:
     if row is None:
         return None
-    return {"episodes": len(row.episodes), "successes": sum(solved for _, solved, _ in row.episodes)}
+    return {"episodes": len(row.episodes), "successes": sum(solved for _, solved, *_ in row.episodes)}
 
 
 def list_baselines(session: Session, track: Track, task: str | None) -> list[BaselineView]:
@@ -159,7 +165,13 @@ def list_baselines(session: Session, track: Track, task: str | None) -> list[Bas
     shown = task or (next(iter(track.tasks)) if len(track.tasks) == 1 else None)
     human = session.get(HumanBaseline, (track.name, shown)) if shown else None
     views = [*list_examples(track, task), *([_human_view(human)] if human else [])]
-    return sorted(views, key=lambda view: -view.success_rate)
+    ranking = track.find_ranking(task)
+
+    def place(view: BaselineView) -> tuple[float, ...]:
+        usual = {SUCCESS_RATE.name: view.success_rate, MEAN_STEPS.name: view.mean_steps}
+        return ranking.sort_key(view.measures | usual)
+
+    return sorted(views, key=place)
 
 
 def list_examples(track: Track, task: str | None) -> list[BaselineView]:
@@ -172,10 +184,10 @@ def list_examples(track: Track, task: str | None) -> list[BaselineView]:
 
 
 def _human_view(row: HumanBaseline) -> BaselineView:
-    steps = [env_steps for _, solved, env_steps in row.episodes if solved]
+    steps = [env_steps for _, solved, env_steps, _ in row.episodes if solved]
     mean_steps = fmean(steps) if steps else None
     whole = _compute_rate(row.episodes)
-    shapes = {shape: [one for one in row.episodes if one[0] == shape] for shape, _, _ in row.episodes}
+    shapes = {shape: [one for one in row.episodes if one[0] == shape] for shape, *_ in row.episodes}
     score = TaskRateView(
         task=row.task,
         mean_steps=mean_steps,
@@ -190,12 +202,13 @@ def _human_view(row: HumanBaseline) -> BaselineView:
         success_rate=whole.success_rate,
         success_rate_interval=bounds(whole.interval),
         mean_steps=mean_steps,
+        measures=average_shared([measures for *_, measures in row.episodes]),
         scores=[score],
     )
 
 
 def _compute_rate(episodes: Sequence[PlayedEpisode]) -> Rate:
-    return rate(sum(solved for _, solved, _ in episodes), len(episodes))
+    return rate(sum(solved for _, solved, *_ in episodes), len(episodes))
 
 
 def _view(name: str, parts: list[_Figures]) -> BaselineView:

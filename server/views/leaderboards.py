@@ -73,6 +73,7 @@ class BaselineView(View):
     success_rate: float
     success_rate_interval: tuple[float, float] = Field(description=INTERVAL)
     mean_steps: float | None = Field(description="Of the successes; null without one.")
+    measures: dict[str, float] = Field(default={}, description="Means of what boards may rank by, by its name.")
     scores: list[TaskRateView] = Field(description="In each task.")
 
 

@@ -1,6 +1,6 @@
 """What was seen in a demonstration, by playing it again, and the file that says where the episodes come from."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
@@ -36,12 +36,14 @@ class Frames:
         observations: by key, each with n + 1 entries.
         actions: shape [n, action size].
         rewards: shape [n].
+        last_info: of the last env step, or of the reset.
     """
 
     demonstration: Demonstration
     observations: dict[str, NDArray[Any]]
     actions: NDArray[np.float32]
     rewards: NDArray[np.float32]
+    last_info: Mapping[str, Any]
 
 
 def choose_observables(task: Task, keys: Collection[str] | None) -> tuple[Observable[Any], ...]:
@@ -82,11 +84,11 @@ def play_again(env: Any, source: Source, demonstration: Demonstration) -> Frames
     Raises:
         DemonstrationDiffers: a state is another one.
     """
-    observation, _ = env.reset(options=demonstration.options(source))
+    observation, info = env.reset(options=demonstration.options(source))
     actions, seen, rewards = demonstration.actions.to_array(), [observation], []
     _compare(env, source, demonstration, 0)
     for env_step, action in enumerate(actions, start=1):
-        observation, reward, *_ = env.step(action)
+        observation, reward, *_, info = env.step(action)
         _compare(env, source, demonstration, env_step)
         seen.append(observation)
         rewards.append(reward)
@@ -95,6 +97,7 @@ def play_again(env: Any, source: Source, demonstration: Demonstration) -> Frames
         observations={key: np.stack([each[key] for each in seen]) for key in observation},
         actions=actions,
         rewards=np.array(rewards, dtype=np.float32),
+        last_info=info,
     )
 
 

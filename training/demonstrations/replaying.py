@@ -1,8 +1,9 @@
 """Plays stored demonstrations again and compares every state with its hash."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,8 +34,8 @@ def replay(
     seed: int = 0,
     processes: int = 1,
     report: Callable[[int], None],
-) -> int:
-    """Play some demonstrations again, and return how many.
+) -> Mapping[int, Mapping[str, Any]]:
+    """Play some demonstrations again, and return the last info of each by its episode.
 
     Args:
         source: where they come from.
@@ -50,6 +51,8 @@ def replay(
     order = np.random.default_rng(seed).permutation(len(demonstrations))[:count]
     env = make_observed_environment(source.task, ())
     played = map_in_order(partial(play_again, env, source), [demonstrations[number] for number in order], processes)
-    for number, _ in enumerate(played, start=1):
+    last_infos = {}
+    for number, frames in enumerate(played, start=1):
+        last_infos[frames.demonstration.episode] = frames.last_info
         report(number)
-    return len(order)
+    return last_infos

@@ -61,11 +61,11 @@ class EnteredResult(Base):
 
 
 class HumanBaseline(Base):
-    """Episodes of a task that people played by marker flow alone, each `[shape, solved, env steps]`."""
+    """Episodes of a task that people played by marker flow alone, each `[shape, solved, env steps, measures]`."""
 
     __tablename__ = "human_baselines"
     track: Mapped[str] = mapped_column(primary_key=True)
     task: Mapped[str] = mapped_column(primary_key=True)
-    episodes: Mapped[list[tuple[str, bool, int]]] = mapped_column(JSONB)
+    episodes: Mapped[list[tuple[str, bool, int, dict[str, float]]]] = mapped_column(JSONB)
     published_by: Mapped[str]
     published_at: Mapped[datetime] = mapped_column(server_default=func.now())

@@ -64,6 +64,7 @@ def seen(episode: int, length: int) -> Frames:
         },
         actions=actions,
         rewards=random.normal(size=length).astype(np.float32),
+        last_info={},
     )
 
 

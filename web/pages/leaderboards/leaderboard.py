@@ -182,7 +182,7 @@ def _with_cells(shown: Sequence[Column], rows: Iterable[RowT]) -> list[tuple[Row
 
 def _cell(column: Column, row: LeaderboardEntryView | BaselineView) -> Cell:
     if column.measure is not None:
-        value = row.measures.get(column.measure) if isinstance(row, LeaderboardEntryView) else None
+        value = row.measures.get(column.measure)
         return Cell(text="–" if value is None else f"{value:.3g}")
     scores: Sequence[TaskRateView] = row.scores
     score = next((score for score in scores if score.task == column.task), None)

@@ -294,7 +294,7 @@ def prepare(service: CliService, command: str) -> None:
             session.execute(update(Work).values(kind=WorkKind.TRIAL))
             put_in_place(session, moved(content, days=-300))
         elif command == "baseline remove":
-            publish_human_baseline(session, CONSOLE, "track_1", TASK, [("cuboid", True, 4)])
+            publish_human_baseline(session, CONSOLE, "track_1", TASK, [("cuboid", True, 4, {})])
         elif command == "competition play-final":
             content = open_now(sealed_competition(), stage=1)
             content["tracks"]["track_1"]["stages"][0]["sealed"] = "live_and_final"

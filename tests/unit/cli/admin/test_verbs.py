@@ -146,6 +146,7 @@ def test_what_people_solve_by_hand_is_played_again_and_published(service: CliSer
     (felt, seen), folder = path.read_text().splitlines(keepends=True)[1:], str(path.parent)
     assert service.run("admin", "baseline", "publish", folder, "--dry-run", "--json").exit_code == 0
     published = json.loads(service.run("admin", "baseline", "publish", folder, "--json").stdout)
+    assert published["measures"].keys() == {"surface_diff_mm"}
     assert (published["name"], published["episodes"]) == (HUMAN, 1), "who has looked at the scene did not play by touch"
     assert service.run("admin", "baseline", "remove", TRACK, TASK, "--yes").exit_code == 0
     head = path.read_text().splitlines(keepends=True)[0]

@@ -268,7 +268,7 @@ class Setting:
     def publish_human_baseline(self) -> None:
         """That of the task, in place of what a request before has left."""
         with self.service.database.transaction() as session:
-            publish_human_baseline(session, CONSOLE, TRACK, TASK, [("cuboid", True, 4)])
+            publish_human_baseline(session, CONSOLE, TRACK, TASK, [("cuboid", True, 4, {})])
 
     def new_team(self) -> str:
         """Id of a further team."""

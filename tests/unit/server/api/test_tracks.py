@@ -106,8 +106,11 @@ def test_what_people_solve_by_hand_stands_beside_a_boards_entries_until_it_is_re
     address, board = f"/api/v1/tracks/{TRACK}/tasks/{TASK}/human-baseline", f"/api/v1/leaderboards/{TRACK}?task={TASK}"
     organizer = {"Authorization": f"Bearer {service.organizer_token}"}
 
-    def publish(*episodes: tuple[str, bool, int]) -> Any:
-        listed = [{"shape": shape, "is_solved": solved, "env_steps": steps} for shape, solved, steps in episodes]
+    def publish(*episodes: tuple[str, bool, int], **measures: float) -> Any:
+        listed = [
+            {"shape": shape, "is_solved": solved, "env_steps": steps, "measures": measures}
+            for shape, solved, steps in episodes
+        ]
         return service.client.put(address, json={"episodes": listed}, headers=organizer)
 
     def shown() -> list[tuple[str, int, int, float | None]]:
@@ -126,6 +129,9 @@ def test_what_people_solve_by_hand_stands_beside_a_boards_entries_until_it_is_re
     low, high = human["success_rate_interval"]
     assert low < 2 / 3 < high
     problem_of(publish(("cube", True, 4)), 422, "invalid_request")
+    problem_of(publish(("cuboid", True, 4), height=1.0), 422, "invalid_request")
+    assert publish(("cuboid", True, 4), surface_diff_mm=0.5).json()["measures"] == {"surface_diff_mm": 0.5}
+    publish(("cuboid", True, 4), ("cuboid", False, 12), ("concave1", True, 6))
     problem_of(publish(), 422, "invalid_request")
     assert shown() == [(HUMAN, 2, 3, 5.0)]
     assert service.client.delete(address, headers=organizer).status_code == 204

@@ -80,7 +80,7 @@ def test_only_successes_leave_the_episodes_of_failures_out(collection: Path, tmp
 
 def test_another_action_is_found_by_its_state(collection: Path, tmp_path: Path) -> None:
     source, demonstrations = read_folder(collection.parent)
-    assert replay(source, demonstrations, count=2, report=nothing) == 2
+    assert len(replay(source, demonstrations, count=2, report=nothing)) == 2
     first, second = demonstrations[:2]
     changed = first.model_copy(update={"state_hashes": (*first.state_hashes[:-1], second.state_hashes[-1])})
     last = first.actions.shape[0]
@@ -97,7 +97,7 @@ def test_fifty_random_demonstrations_replay_by_hash_after_a_round_trip(tmp_path:
         export(collection, tmp_path / task, DatasetFormat.LEROBOT_3_0, keys=keys, processes=2, report=nothing)
         assert run("data", "check", tmp_path / task, "--replay", 1) == 0
         source, demonstrations = read_folder(tmp_path / task)
-        played += replay(source, demonstrations, count=25, seed=1, processes=2, report=nothing)
+        played += len(replay(source, demonstrations, count=25, seed=1, processes=2, report=nothing))
     assert played > 50
 
 

@@ -84,7 +84,7 @@ def test_who_plays_by_hand_is_told_which_row_of_which_board_to_beat(site: Seeded
 
 def test_people_are_the_row_to_beat_where_they_solved_most(site: SeededSite) -> None:
     with site.database.transaction() as session:
-        publish_human_baseline(session, CONSOLE, TRACK, TASK, [("cuboid", True, 4)] * 20)
+        publish_human_baseline(session, CONSOLE, TRACK, TASK, [("cuboid", True, 4, {})] * 20)
     forget_boards()
     challenge = words(site.visitor().get("/").text).partition("Can you do it by touch alone?")[2]
     assert f"The row to beat is {HUMAN} , who solved 100.0 % (" in challenge
