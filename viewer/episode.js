@@ -38,6 +38,15 @@ export class Episode {
     return mixed(this.arrays.held_poses.values, POSE, place, 1, 0, target);
   }
 
+  /** The held part's vertices in its own frame [mm]: those of a soft one move in it. */
+  heldVertices({ before, next, fraction }) {
+    const { held_vertices_mm: rest, held_displacements: moved } = this.arrays;
+    if (!moved) return rest.values;
+    const { values } = moved;
+    const [unit, count] = [this.header.displacement_unit_mm, rest.values.length];
+    return rest.values.map((value, at) => value + unit * ((1 - fraction) * values[before * count + at] + fraction * values[next * count + at]));
+  }
+
   /** How far the fixed part has moved [mm]; null where it stands still. */
   fixedShift(place, target) {
     const { fixed_shifts_mm: shifts } = this.arrays;

@@ -34,7 +34,7 @@ export class Sections {
 
   #placeHeld(place) {
     const pose = this.episode.heldPose(place, new Float32Array(12));
-    const own = this.episode.arrays.held_vertices_mm.values;
+    const own = this.episode.heldVertices(place);
     for (let at = 0; at < own.length; at += 3) {
       for (let row = 0; row < 3; row += 1) {
         this.held[at + row] = pose[9 + row] + [0, 1, 2].reduce((sum, column) => sum + pose[3 * row + column] * own[at + column], 0);

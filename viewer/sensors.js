@@ -116,7 +116,7 @@ function heldInGel(episode, step, side) {
   const moment = lastMoment(episode, step);
   const place = { before: moment, next: moment, fraction: 0 };
   const [gel, held] = [episode.sensorPose(place, side, []), episode.heldPose(place, [])];
-  const own = episode.arrays.held_vertices_mm.values;
+  const own = episode.heldVertices(place);
   const found = new Float32Array(own.length);
   for (let at = 0; at < own.length; at += 3) {
     const away = [0, 1, 2].map((row) => held[9 + row] - gel[9 + row] + [0, 1, 2].reduce((sum, axis) => sum + held[3 * row + axis] * own[at + axis], 0));

@@ -76,7 +76,8 @@ export class Stage extends View {
       applyPose(this.bodies[side], this.pose);
     });
     this.palm.show(...this.gels.map((gel) => gel.mesh.matrix));
-    applyPose(this.held.mesh, this.episode.heldPose(place, this.pose));
+    placeHeld(this.held, this.episode, place, this.pose);
+    this.#placeNames(this.episode.heldVertices(place));
     const shift = this.episode.fixedShift(place, this.pose);
     if (shift) this.studio.ride(shift);
     this.forces.show(place);
@@ -147,14 +148,14 @@ export class Stage extends View {
 
   /** Shows the held part of another episode with the same parts as a ghost. */
   addGhost(episode) {
-    const { mesh, cap } = this.#held(GHOST);
-    mesh.castShadow = cap.visible = false;
-    this.ghost = { episode, mesh };
+    const held = this.#held(GHOST);
+    held.mesh.castShadow = held.cap.visible = false;
+    this.ghost = { episode, held };
   }
 
   #showGhost(time) {
-    const { episode, mesh } = this.ghost;
-    applyPose(mesh, episode.heldPose(episode.around(Math.min(time, episode.lastStep)), this.pose));
+    const { episode, held } = this.ghost;
+    placeHeld(held, episode, episode.around(Math.min(time, episode.lastStep)), this.pose);
   }
 
   #view(name, side) {
@@ -188,7 +189,8 @@ export class Stage extends View {
 
   #held(look = HELD) {
     const { held_vertices_mm: vertices, held_triangles: triangles } = this.episode.arrays;
-    const held = solid(geometryOf(vertices, triangles), look, LOOK.held_section);
+    const own = { values: vertices.values.slice() }; // a soft part's move
+    const held = solid(geometryOf(own, triangles), look, LOOK.held_section);
     Object.assign(held.mesh, { matrixAutoUpdate: false, renderOrder: 1 });
     if (look === HELD) held.mesh.add(...(this.names = this.#names(vertices.values)));
     this.scene.add(held.mesh);
@@ -222,8 +224,9 @@ export class Stage extends View {
   }
 
   #pointsOfHeld(moment) {
-    const matrix = matrixOf(this.episode.heldPose({ before: moment, next: moment, fraction: 0 }, this.pose));
-    return pointsOf(this.episode.arrays.held_vertices_mm.values).map((point) => point.applyMatrix4(matrix));
+    const place = { before: moment, next: moment, fraction: 0 };
+    const matrix = matrixOf(this.episode.heldPose(place, this.pose));
+    return pointsOf(this.episode.heldVertices(place)).map((point) => point.applyMatrix4(matrix));
   }
 
   /** The fixed part, and the held part at both ends. */
@@ -249,8 +252,16 @@ export class Stage extends View {
 
   /** Numbers at the points of the held part by which success is judged. */
   #names(own) {
-    const points = Array.from(this.episode.arrays.measured_vertices?.values ?? []);
-    return points.map((vertex, at) => label(at, own.subarray(3 * vertex, 3 * vertex + 3)));
+    return this.#measured().map((vertex, at) => label(at, own.subarray(3 * vertex, 3 * vertex + 3)));
+  }
+
+  /** Puts the numbers where the points are in the part's own frame. */
+  #placeNames(own) {
+    this.#measured().forEach((vertex, at) => this.names[at].position.fromArray(own, 3 * vertex));
+  }
+
+  #measured() {
+    return Array.from(this.episode.arrays.measured_vertices?.values ?? []);
   }
 }
 
@@ -265,9 +276,21 @@ function solid(geometry, look, section) {
   const lines = new LineBasicMaterial({ color: INK, transparent: true, opacity: 0.55 });
   const mesh = new Mesh(geometry, outside);
   const cap = new Mesh(geometry, inside);
-  mesh.add(cap, new LineSegments(new EdgesGeometry(geometry, SHARP_DEG), lines));
+  const edges = new LineSegments(new EdgesGeometry(geometry, SHARP_DEG), lines);
+  mesh.add(cap, edges);
   Object.assign(mesh, { castShadow: true, receiveShadow: true });
-  return { mesh, outside, cap, cut: (planes) => [outside, inside, lines].forEach((material) => (material.clippingPlanes = planes)) };
+  return { mesh, outside, cap, edges, cut: (planes) => [outside, inside, lines].forEach((material) => (material.clippingPlanes = planes)) };
+}
+
+/** Places a held part, and deforms it where it is soft. */
+function placeHeld({ mesh, edges }, episode, place, pose) {
+  applyPose(mesh, episode.heldPose(place, pose));
+  if (!episode.arrays.held_displacements) return;
+  const positions = mesh.geometry.getAttribute("position");
+  positions.copyArray(episode.heldVertices(place));
+  positions.needsUpdate = true;
+  edges.geometry.dispose();
+  edges.geometry = new EdgesGeometry(mesh.geometry, SHARP_DEG);
 }
 
 function matrixOf(pose, made = new Matrix4()) {

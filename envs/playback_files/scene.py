@@ -150,6 +150,9 @@ def _packed(playback: EpisodePlayback, moments: list[Moment]) -> bytes:
         "rewards": _rounded(playback.rewards),
         "surface_motions_mm": np.array([1e3 * moment.info["surface_diff_m"] for moment in ends], dtype=np.float32),
     }
+    bends_mm = np.array([_own_displacements_mm(playback, moment) for moment in moments])
+    if np.abs(bends_mm).max() > DISPLACEMENT_UNIT_MM:
+        arrays["held_displacements"] = Changes(values=whole_numbers(bends_mm, DISPLACEMENT_UNIT_MM, np.int16))
     shifts_mm = np.array([1e3 * moment.fixed_shift_m for moment in moments])
     if shifts_mm.any():
         arrays["fixed_shifts_mm"] = _rounded(shifts_mm)
@@ -247,3 +250,10 @@ def _held_pose_mm(playback: EpisodePlayback, moment: Moment) -> FloatArray:
     homogeneous = np.column_stack([own_mm, np.ones(len(own_mm))])
     solution = np.linalg.lstsq(homogeneous, 1e3 * moment.held_m)[0]
     return np.concatenate([solution[:3].T.ravel(), solution[3]])
+
+
+def _own_displacements_mm(playback: EpisodePlayback, moment: Moment) -> FloatArray:
+    """Return how far a soft part's vertices are in its own frame from where its affine map has them [mm], [v, 3]."""
+    pose = _held_pose_mm(playback, moment)
+    own_mm = np.linalg.solve(pose[:9].reshape(3, 3), (1e3 * moment.held_m - pose[9:]).T).T
+    return np.asarray(own_mm - 1e3 * playback.held.vertices_m)

@@ -68,6 +68,7 @@ PICTURES: Mapping[str, Sequence[Picture]] = {
             "in-hand-turn", "A gripper whose two gels hold a rod by its flat head, pressed against the edge of a bar"
         ),
     ),
+    "soft-plug": (_scene("soft-plug", "A gripper whose two gels hold a soft plug, bent above a plate with a hole"),),
     "slip": (_scene("slip", "A gripper whose two gels hold a hexagonal column above a table"),),
     "explore": (_scene("explore", "A gripper whose two gels hold a block; below it a cross, one arm of it on a pin"),),
     "moving-hole": (_scene("moving-hole", f"{_PEG} that moves"),),

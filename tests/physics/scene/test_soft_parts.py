@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from block_meshes import box_surface, hexahedral_box
+from scipy.optimize import brentq
 from small_scenes import IDENTITY, UPSIDE_DOWN, arena_contact, driven_positions_m
 from vitac.envs.fem.model.mesh import GelBody, MeshError, RigidBody
 from vitac.envs.fem.scene.layout import SceneError
@@ -157,3 +158,77 @@ def test_a_free_part_has_neither_driven_nor_sensing_nodes_and_no_motion() -> Non
         replace(mesh, driven=none)
     with pytest.raises(SceneError, match="no driven nodes"):
         soft_block_over_a_floor(1e-3, motion=np.zeros)
+
+
+def wall(axis: int, side: int, at_m: float) -> RigidBody:
+    """A fixed plate whose face is across an axis, `at_m` from the origin on one side."""
+    size_m = np.array([0.03, 0.03, 0.05])
+    size_m[axis] = 0.004
+    low_m = -0.5 * size_m
+    low_m[axis] = at_m if side > 0 else -at_m - 0.004
+    return RigidBody(mesh=box_surface(size_m, low_m), rotation=IDENTITY, translation_m=np.zeros(3), fixed=True)
+
+
+def test_walls_squeeze_a_free_bar_with_the_force_of_its_material() -> None:
+    """A bar in a tight square hole: equal stretches across, no force along; as Lame's plug in a ring, but finite."""
+    width_m, length_m, youngs_modulus_pa, poisson_ratio = 8e-3, 24e-3, 1e6, 0.45
+    mesh = hexahedral_box((width_m, width_m, length_m), (3, 3, 6)).released()
+    bar = GelBody(
+        mesh=mesh,
+        rotation=IDENTITY,
+        translation_m=-0.5 * np.array([width_m, width_m, length_m]),
+        youngs_modulus_pa=youngs_modulus_pa,
+        poisson_ratio=poisson_ratio,
+    )
+    sides = [(0, 1), (0, -1), (1, 1), (1, -1)]
+    walls = [wall(axis, side, 0.5 * width_m + GAP_M) for axis, side in sides]
+    scene = Scene(gels=[bar], bodies=walls, time_step_s=0.1, contact=arena_contact(0.0))
+    for part in (1, 2, 3, 4):
+        displacements_m = {i: -1e-4 * part * side * np.eye(3)[axis] for i, (axis, side) in enumerate(sides)}
+        report = scene.step(driven_targets_m=[np.empty((0, 3))], displacements_m=displacements_m)
+        assert report.status is StepStatus.CONVERGED
+    across, along = (np.ptp(scene.gel_positions_m(0)[:, axis]) for axis in (0, 2))
+    mu_pa = 0.5 * youngs_modulus_pa / (1.0 + poisson_ratio)
+    lambda_pa = youngs_modulus_pa * poisson_ratio / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
+    s = across / width_m
+    free = brentq(lambda z: mu_pa * (z - 1.0 / z) + lambda_pa * np.log(s * s * z) / z, 0.8, 1.5)
+    pressure_pa = -(mu_pa * (s - 1.0 / s) + lambda_pa * np.log(s * s * free) / s)
+    pairs = scene.contact_forces()
+    for number in range(1, 5):
+        force_n = np.abs(pairs.forces_n[(pairs.bodies == number).any(axis=1)].sum(axis=0)).max()
+        assert force_n == pytest.approx(pressure_pa * width_m * length_m, rel=0.03)
+    assert along / length_m == pytest.approx(free, rel=0.005)
+
+
+def test_a_slim_column_buckles_under_the_load_of_theory() -> None:
+    """Both ends clamped and slightly curved; the load is read as Southwell (1932) does, theory is Haringx's (1948)."""
+    width_m, length_m, youngs_modulus_pa, poisson_ratio = 6e-3, 72e-3, 1e6, 0.3
+    straight = hexahedral_box((width_m, 1.5 * width_m, length_m), (2, 2, 24))
+    rest_m, z = straight.rest_position_m.copy(), straight.rest_position_m[:, 2]
+    rest_m[:, 0] += 1.5e-4 * (1.0 - np.cos(2.0 * np.pi * z / length_m))
+    top = z > length_m - 1e-9
+    mesh = replace(straight, rest_position_m=rest_m, driven=(z == 0.0) | top)
+    column = GelBody(
+        mesh=mesh,
+        rotation=IDENTITY,
+        translation_m=np.zeros(3),
+        youngs_modulus_pa=youngs_modulus_pa,
+        poisson_ratio=poisson_ratio,
+    )
+    scene, targets_m = Scene(gels=[column], bodies=[], time_step_s=0.1), driven_positions_m(column)
+    upper, middle = targets_m[:, 2] > 0.5 * length_m, np.isclose(z, 0.5 * length_m)
+    loads_n, bows_m = [], []
+    for _ in range(8):
+        targets_m = targets_m - 1.5e-4 * upper[:, None] * np.array([0.0, 0.0, 1.0])
+        assert scene.step(driven_targets_m=[targets_m]).status is not StepStatus.NOT_CONVERGED
+        forces_n = scene._workspace.system.gradient[mesh.driven_nodes]
+        loads_n.append(-forces_n[upper, 2].sum())
+        bows_m.append((scene.gel_positions_m(0)[:, 0] - straight.rest_position_m[:, 0])[middle].mean())
+    # bow (1 - P / P_critical) is the same at all loads.
+    (first_n, last_n), (first_m, last_m) = (loads_n[2], loads_n[-1]), (bows_m[2], bows_m[-1])
+    critical_n = (last_n * last_m - first_n * first_m) / (last_m - first_m)
+    shear_n = 0.5 * youngs_modulus_pa / (1.0 + poisson_ratio) * 1.5 * width_m**2
+    shear_n *= 10.0 * (1.0 + poisson_ratio) / (12.0 + 11.0 * poisson_ratio)
+    euler_n = 4.0 * np.pi**2 * youngs_modulus_pa * 1.5 * width_m**4 / 12.0 / length_m**2
+    haringx_n = 0.5 * shear_n * (np.sqrt(1.0 + 4.0 * euler_n / shear_n) - 1.0)
+    assert critical_n == pytest.approx(haringx_n, rel=0.1)

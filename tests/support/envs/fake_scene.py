@@ -1,4 +1,4 @@
-"""Stands in for the physics in tests of what is built on it: gels follow their driven nodes rigidly."""
+"""Stands in for the physics in tests of what is built on it: gels follow their driven nodes rigidly, parts the gels."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -56,14 +56,22 @@ class FakeScene:
         self.loads.append(dict(loads))
         self.displacements_m.append(dict(displacements_m))
         self.targets_m.append([targets.copy() for targets in driven_targets_m])
+        before_m = self._middle_m()
         for index, (gel, targets) in enumerate(zip(self.gels, driven_targets_m, strict=True)):
-            self.placed[index] = rigid_fit(gel.mesh.rest_position_m[gel.mesh.driven_nodes], targets)
+            if gel.mesh.is_free:
+                rotation, centre_m = self.placed[index]
+                self.placed[index] = (rotation, centre_m + self._middle_m() - before_m)
+            else:
+                self.placed[index] = rigid_fit(gel.mesh.rest_position_m[gel.mesh.driven_nodes], targets)
         return report(self._pending.pop(0) if self._pending else StepStatus.CONVERGED, self.part_force_n)
+
+    def _middle_m(self) -> np.ndarray:
+        return np.asarray(np.mean([centre for _, centre in self.placed[:2]], axis=0))
 
     def contact_forces(self) -> PairForces:
         """The forces of the gels, as contacts with the held part (body 2)."""
         forces_n = np.array(report(part_force_n=self.part_force_n).gel_forces_n)
-        centres_m = np.array([centre for _, centre in self.placed])
+        centres_m = np.array([centre for _, centre in self.placed[:2]])
         return no_forces()._replace(bodies=np.array([[0, 2], [1, 2]]), points_m=centres_m, forces_n=forces_n)
 
     def gel_contact_forces_n(self) -> list[np.ndarray]:

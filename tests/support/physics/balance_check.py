@@ -66,6 +66,10 @@ class BalanceCheck:
 
     def balance(self, loads: Mapping[int, PointLoad] | None = None) -> Balance:
         """What the IPC step since `remember` has left, with the loads that it was played with."""
+        if self._probe.model is not self._scene._model:  # Gels have met, so the matrix has other places.
+            before, self._probe = self._probe, Probe(self._scene)
+            for name in ("start_m", "x_hat_m", "memory"):
+                setattr(self._probe, name, getattr(before, name))
         self._probe.load_n = self._scene._load_n(loads or {})
         here: Assembled = self._probe.at(self._scene._x)
         return Balance(

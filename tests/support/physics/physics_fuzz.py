@@ -1,6 +1,6 @@
 """Random episodes at the bounds of what a policy may do, every IPC step checked.
 
-Usage: python tests/support/physics/physics_fuzz.py [--task peg|lock|moving|explore|turn|slip] [--first SEED]
+Usage: python tests/support/physics/physics_fuzz.py [--task peg|lock|moving|explore|turn|slip|plug] [--first SEED]
                                                      [--episodes N] [--past-end] [--eigenvalues] [--json FILE]
 
 Prints every IPC step that was divided, did not converge or would not last, with the numbers that play it again.
@@ -32,9 +32,11 @@ from vitac.envs.tasks.moving_hole.env import MovingHoleEnv
 from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
 from vitac.envs.tasks.slip.env import SlipEnv
 from vitac.envs.tasks.slip.scene import SlipShape
+from vitac.envs.tasks.soft_plug.env import SoftPlugEnv
+from vitac.envs.tasks.soft_plug.scene import PlugShape
 from vitac.envs.tasks.task_env import TactileTaskEnv
 
-PEG, LOCK, MOVING, EXPLORE, TURN, SLIP = "peg", "lock", "moving", "explore", "turn", "slip"
+PEG, LOCK, MOVING, EXPLORE, TURN, SLIP, PLUG = "peg", "lock", "moving", "explore", "turn", "slip", "plug"
 ENV_STEPS = 8
 
 
@@ -93,6 +95,9 @@ def fuzzed_environment(task: str, random: np.random.Generator, assets_dir: Path 
             "load_n": (0.0, 30.0),
         }  # fmt: skip
         return SlipEnv(assets_dir=assets_dir, draws=drawn)
+    if task == PLUG:
+        drawn = {"plug_modulus_mpa": (0.8, 4.0), "interference_mm": (-0.2, 0.2), "indentation_mm": (0.4, 0.8)}
+        return SoftPlugEnv(assets_dir=assets_dir, draws=drawn)
     standard = lock_physics()
     physics = PhysicsSettings(
         gel_friction=gel_friction, time_step_s=standard.time_step_s, contact=standard.contact, solver=standard.solver
@@ -120,6 +125,9 @@ def start_options(task: str, random: np.random.Generator) -> dict[str, Any]:
     if task == SLIP:
         x, z = random.uniform(-1, 1, 2) * (3, 6)
         return {"shape": str(random.choice(list(SlipShape))), "offset_mm": (float(x), float(z))}
+    if task == PLUG:
+        x, y = random.uniform(-3, 3, 2)
+        return {"shape": str(random.choice(list(PlugShape))), "offset_mm": (float(x), float(y))}
     shape = str(random.choice(list(KeyShape)))
     return {"shape": shape, "offset_mm": (float(random.uniform(0, 5)), 0.0, 0.0)}
 
@@ -182,7 +190,7 @@ def fuzz_episode(
 ) -> Iterator[FuzzedStep]:
     """Play one random episode until it ends, or on to its last env step unless an IPC step does not converge."""
     random = np.random.default_rng(
-        np.random.SeedSequence([{PEG: 1, LOCK: 2, MOVING: 3, EXPLORE: 4, TURN: 5, SLIP: 6}[task], seed])
+        np.random.SeedSequence([{PEG: 1, LOCK: 2, MOVING: 3, EXPLORE: 4, TURN: 5, SLIP: 6, PLUG: 7}[task], seed])
     )
     env = fuzzed_environment(task, random, assets_dir)
     options = start_options(task, random) | {"rng_seed": (seed,)}
@@ -260,7 +268,7 @@ def _is_remarkable(step: FuzzedStep) -> bool:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--task", choices=(PEG, LOCK, MOVING, EXPLORE, TURN, SLIP), default=PEG)
+    parser.add_argument("--task", choices=(PEG, LOCK, MOVING, EXPLORE, TURN, SLIP, PLUG), default=PEG)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--past-end", action="store_true", help="play on after a flag ended the episode")

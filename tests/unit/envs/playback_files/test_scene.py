@@ -49,6 +49,21 @@ def test_the_held_part_is_where_it_was(peg_playback: EpisodePlayback, peg_file: 
         np.testing.assert_allclose(world_mm, 1e3 * peg_playback.moments[index].held_m, atol=1e-2)
 
 
+def test_a_soft_part_is_where_it_was_and_a_rigid_one_has_no_motion_of_its_own(
+    peg_playback: EpisodePlayback, peg_file: Unpacked
+) -> None:
+    assert "held_displacements" not in peg_file.arrays
+    first, *others = peg_playback.moments
+    bent_m = first.held_m + 2e-3 * np.square(first.held_m[:, [2, 0, 1]] / 0.05)
+    bent = replace(peg_playback, moments=(replace(first, held_m=bent_m), *others))
+    file = unpack(pack_scene(bent))
+    own_mm = file.arrays["held_vertices_mm"] + file.header["displacement_unit_mm"] * file.arrays["held_displacements"]
+    for index, moment in ((0, bent.moments[0]), (-1, bent.moments[-1])):
+        pose = file.arrays["held_poses"][index].astype(float)
+        world_mm = own_mm[index] @ pose[:9].reshape(3, 3).T + pose[9:]
+        np.testing.assert_allclose(world_mm, 1e3 * moment.held_m, atol=2e-2)
+
+
 def test_the_fixed_part_does_not_move(peg_playback: EpisodePlayback, peg_file: Unpacked) -> None:
     np.testing.assert_allclose(peg_file.arrays["fixed_vertices_mm"], 1e3 * peg_playback.fixed_m, atol=1e-4)
     assert peg_file.arrays["fixed_triangles"].max() < len(peg_playback.fixed_m)

@@ -1,0 +1,135 @@
+"""`ViTac/SoftPlug-v1`: push an elastic plug into a hole that is narrower than it."""
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ...fem.model.mesh import SurfaceMesh
+from ...scene.perspective import ActionArray
+from ..definition import Flags, surface_moved_too_far
+from ..settings import choice, drawn_shape, numbers, refusal
+from ..task_env import Info, Observation, TactileTaskEnv
+from .definition import SUCCESS_DEPTH_MM, TASK
+from .scene import PlugShape, SoftPlugScene, SoftPlugSettings, SoftPlugStart, plate_mesh
+
+SHAPE, OFFSET = "shape", "offset_mm"
+LARGEST_XY_MM = 8.0
+LEAST_MM = 1.2
+"""Least |x| or |y| of a random start: the plug then does not just slide in."""
+
+
+class SoftPlugEnv(TactileTaskEnv[SoftPlugScene, SoftPlugSettings]):
+    """Push an elastic plug into a tight hole by touch alone, without crushing it or letting it buckle.
+
+    Two gels hold a plug of rubber by its upper part. Below it is a plate with a hole that is narrower than the plug,
+    with a wider mouth, a few millimetres beside it. Pressed on the plate the plug shortens, bends and slides; inside
+    the hole its walls press on it. The policy moves the gripper along x, y and z. World frame: z up, origin in the
+    middle of the hole's rim, y from jaw to jaw. Actions outside -1 to 1 are clipped. Contacts are those of `arena-2`.
+
+    The grid of `marker_flow` is drawn again at every observation.
+
+    Reset options: `shape` ("stopper", "slim"), `offset_mm` (x, y of plug and gripper from the hole), and `rng_seed`,
+    the integers that seed the episode's generator in place of the environment's own. What is left open is drawn: the
+    shape, then x and y within 3 mm, one of them at least 1.2 mm.
+
+    Ends: terminated by success, as soon as all corners of the plug's lower face are 4 mm below the rim (`end_reason`
+    "success"); truncated by a force on the plug beyond `force_limit_n`, if that is given ("force"); by a sensing
+    surface that moved more than 1.5 mm ("tactile"); by a lower end that is more than 1.5 mm beside where the gripper
+    holds the plug, which has buckled, or a gripper more than 8 mm beside the hole ("error"); by 24 env steps ("steps"),
+    or physics that did not converge ("not_converged", after which nothing moves).
+
+    Keyword arguments: those of `TactileTaskEnv`, and fields of `SoftPlugSettings`.
+    """
+
+    task: ClassVar = TASK
+    settings_type: ClassVar = SoftPlugSettings
+    shape_type: ClassVar = PlugShape
+    option_names: ClassVar[tuple[str, ...]] = (SHAPE, OFFSET)
+
+    def _solids(self) -> list[SurfaceMesh]:
+        return [plate_mesh(shape, self.settings.interference_mm) for shape in PlugShape]
+
+    def _start(self, options: dict[str, Any], random: np.random.Generator) -> SoftPlugScene:
+        start = choose_start(options, random, env_id=self.env_id, shapes=self._shapes, xy_mm=self.settings.random_xy_mm)
+        settings = self._settings_of_episode(random)
+        return SoftPlugScene(start=start, meshes=self._meshes, settings=settings, clocks=self._clocks)
+
+    def _error(self) -> float:
+        scene = self.task_scene
+        x, y = scene.offset_mm().tolist()
+        return float(np.sqrt(x * x + y * y)) + max(0.0, float(scene.heights_mm().max()) + SUCCESS_DEPTH_MM)
+
+    def _judge(self) -> Flags:
+        scene, settings = self.task_scene, self.settings
+        tactile = surface_moved_too_far(scene.grasped.surface_diff_m())
+        buckled = scene.bend_mm() > settings.largest_bend_mm
+        left = bool((np.abs(scene.offset_mm()) > LARGEST_XY_MM).any())
+        is_in = bool((scene.heights_mm() < -SUCCESS_DEPTH_MM).all())
+        return Flags(
+            tactile_movement_too_large=tactile,
+            error_too_large=buckled or left,
+            too_many_steps=scene.env_steps >= settings.max_steps,
+            is_success=is_in and not (tactile or buckled or left),
+        )
+
+    def _reward(self, flags: Flags, progress: float) -> float:
+        settings = self.settings
+        reward = progress - settings.step_penalty
+        if flags.force_too_large or flags.tactile_movement_too_large or flags.error_too_large:
+            return reward - settings.failure_penalty
+        return reward + (settings.final_reward if flags.is_success else 0.0)
+
+    def _info(self, flags: Flags) -> Info:
+        scene = self.task_scene
+        return {
+            "steps": scene.env_steps,
+            "surface_diff_m": scene.grasped.surface_diff_m(),
+            "tactile_movement_too_large": flags.tactile_movement_too_large,
+            "too_many_steps": flags.too_many_steps,
+            "error_too_large": flags.error_too_large,
+            "heights_mm": scene.heights_mm(),
+            "bend_mm": scene.bend_mm(),
+            "largest_bend_mm": scene.largest_bend_mm,
+            "gt_offset_mm": scene.offset_mm(),
+            "relative_motion_mm": scene.relative_motion_mm(),
+            "is_success": flags.is_success,
+        }
+
+
+def choose_start(
+    options: dict[str, Any], random: np.random.Generator, *, env_id: str, shapes: tuple[PlugShape, ...], xy_mm: float
+) -> SoftPlugStart:
+    """Return the start given by the options; what they leave open is drawn: shape, then x and y.
+
+    Raises:
+        ResetOptionsError: an option is not a known plug or not a usable offset.
+    """
+    given = options.get(SHAPE)
+    shape = drawn_shape(shapes, random) if given is None else choice(env_id, SHAPE, given, PlugShape)
+    drawn = [0.0, 0.0]
+    while not accepts_start(shape, drawn):
+        drawn = (xy_mm * random.uniform(-1.0, 1.0, 2)).tolist()
+    expected = f"expected (x, y) in mm within {LARGEST_XY_MM:g} mm either way"
+    x_mm, y_mm = numbers(env_id, OFFSET, options.get(OFFSET, drawn), 2, expected)
+    if max(abs(x_mm), abs(y_mm)) > LARGEST_XY_MM:
+        raise refusal(env_id, OFFSET, options[OFFSET], expected)
+    return SoftPlugStart(shape=shape, x_mm=x_mm, y_mm=y_mm)
+
+
+def accepts_start(_: str, offset_mm: Sequence[float]) -> bool:
+    """Return whether an episode may start there: the plug must not just slide in."""
+    return max(map(abs, offset_mm)) >= LEAST_MM
+
+
+# Above the rim, from which on the plug is lowered only over the hole [mm].
+_NEAR_MM = 0.3
+
+
+def over_the_hole_then_in(_: Observation, info: Info) -> ActionArray:
+    """Go over the hole above the plate, then push."""
+    aside_mm = -info["gt_offset_mm"]
+    far = float(np.abs(aside_mm).max()) > 0.2
+    up_mm = _NEAR_MM - info["heights_mm"].min() if far else -1.0
+    action = np.append(aside_mm, max(0.0, up_mm) if far else up_mm) / np.array(TASK.action_scale)
+    return np.asarray(np.clip(action, -1.0, 1.0), dtype=np.float32)

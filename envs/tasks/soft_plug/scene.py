@@ -1,0 +1,234 @@
+"""Scene of the soft plug: an elastic plug between two gels, above a plate with a hole that is narrower than it."""
+
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...assets import Meshes
+from ...fem.model.mesh import PART_MATERIAL, GelBody, GelMesh, SurfaceMesh
+from ...geometry.solid import Face, rectangle, solid_from_faces
+from ...scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings, fixed_at_origin
+from ...scene.gripper import UPRIGHT_MOUNTS, Gripper, GripperPose
+from ...tactile.gel import GelCells, GelDimensions, highest_mm, structured_gel
+from ...tactile.markers import MarkerSettings
+from ..quantities import check_quantities
+from ..settings import arena_physics, require
+from .definition import INTERFERENCE, MODULUS, PLUG_QUANTITIES, TASK
+
+FloatArray = NDArray[np.float64]
+
+PLUG_HEIGHT_MM = 38.0
+CELLS = GelCells(x=3, y=3, bevel=0, layers=10, is_hexahedral=True)
+# Of the square cross-section: 0 has sharp corners, 1 would be a circle.
+ROUNDNESS = 0.5
+POISSON_RATIO, DENSITY_KG_M3 = 0.45, 1100.0
+PLATE_MM = rectangle(-30.0, 30.0, -30.0, 30.0)
+PLATE_THICKNESS_MM = 10.0
+# The hole is wider than the plug at the rim, and narrows down to its own width over this depth.
+MOUTH_MM, MOUTH_DEPTH_MM = 1.0, 2.0
+GRASP_HEIGHT_MM = 26.0
+# Free space below the plug and beside the gels when the scene is built.
+START_GAP_MM, GRASP_GAP_MM = 0.6, 0.1
+GRASP_STEPS = 2
+
+
+class PlugShape(StrEnum):
+    """Width of the plug, a square with rounded corners."""
+
+    STOPPER = "stopper"
+    """10 mm."""
+    SLIM = "slim"
+    """8.5 mm, which buckles under half of the force."""
+
+
+WIDTH_MM = {PlugShape.STOPPER: 10.0, PlugShape.SLIM: 8.5}
+
+
+@dataclass(frozen=True, kw_only=True)
+class SoftPlugSettings:
+    """What the task leaves open.
+
+    Attributes:
+        max_steps: env steps after which an episode is cut off.
+        ipc_steps: of an env step.
+        action_scale_mm: motion at an action of 1: x, y, z.
+        indentation_mm: how far each gel is pressed into the plug, or the plug into it.
+        plug_modulus_mpa: Young's modulus of the plug.
+        interference_mm: by how much the hole is narrower than the plug on each side.
+        largest_bend_mm: sideways motion of the plug's lower end beyond which it has buckled.
+        step_penalty: of an env step in the reward.
+        final_reward: of success.
+        failure_penalty: of the flags that end an episode.
+        random_xy_mm: largest |x| and |y| of a random start.
+        physics: materials and time stepping.
+        markers: ranges of the marker grid.
+    """
+
+    max_steps: int = 24
+    ipc_steps: int = 2
+    action_scale_mm: tuple[float, ...] = TASK.action_scale
+    indentation_mm: float = 0.6
+    plug_modulus_mpa: float = MODULUS.nominal
+    interference_mm: float = INTERFERENCE.nominal
+    largest_bend_mm: float = 1.5
+    step_penalty: float = 0.1
+    final_reward: float = 10.0
+    failure_penalty: float = 10.0
+    random_xy_mm: float = 3.0
+    physics: PhysicsSettings = field(default_factory=arena_physics)
+    markers: MarkerSettings = field(default_factory=MarkerSettings)
+
+    def __post_init__(self) -> None:
+        require(self.max_steps >= 1, "max_steps", self.max_steps, "at least 1")
+        require(1 <= self.ipc_steps <= 100, "ipc_steps", self.ipc_steps, "1 to 100")
+        scale = self.action_scale_mm
+        usable = len(scale) == len(TASK.actions) and all(0 <= value <= 5 for value in scale)
+        require(usable, "action_scale_mm", scale, "three numbers of 0 to 5")
+        require(0 < self.indentation_mm <= 2, "indentation_mm", self.indentation_mm, "0 to 2 mm, half the gel")
+        check_quantities(self, PLUG_QUANTITIES)
+        require(self.largest_bend_mm > 0, "largest_bend_mm", self.largest_bend_mm, "more than 0 mm")
+        require(1.3 <= self.random_xy_mm <= 8, "random_xy_mm", self.random_xy_mm, "1.3 to 8 mm")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SoftPlugStart:
+    """Start of an episode.
+
+    Attributes:
+        shape: of the plug.
+        x_mm: plug beside its hole.
+        y_mm: plug beside its hole.
+    """
+
+    shape: PlugShape
+    x_mm: float
+    y_mm: float
+
+
+def plug_mesh(shape: PlugShape) -> GelMesh:
+    """Return the plug of this shape, its lower face at z = 0 and its axis along z."""
+    size = GelDimensions(
+        length_mm=WIDTH_MM[shape],
+        width_mm=WIDTH_MM[shape],
+        thickness_mm=PLUG_HEIGHT_MM,
+        bevel_height_mm=0.0,
+        bevel_inset_mm=0.0,
+    )
+    box = structured_gel(name=f"{shape} plug", size=size, cells=CELLS)
+    rest_m, half_m = box.rest_position_m.copy(), 0.5e-3 * WIDTH_MM[shape]
+    across = rest_m[:, :2] / half_m
+    # Squares become circles where the roundness is 1 (Nowell 2005).
+    rest_m[:, :2] *= np.sqrt(1.0 - 0.5 * ROUNDNESS * across[:, ::-1] * across[:, ::-1])
+    rest_m[:, 2] -= rest_m[:, 2].min()
+    return replace(box, rest_position_m=rest_m).released()
+
+
+def plate_mesh(shape: PlugShape, interference_mm: float) -> SurfaceMesh:
+    """Return the plate with the hole for a plug, its rim at z = 0."""
+    half_mm = 0.5 * WIDTH_MM[shape] - interference_mm
+    wide_mm = 0.5 * WIDTH_MM[shape] + MOUTH_MM
+    loops = [
+        _at(rectangle(-half, half, -half, half), z_mm)
+        for half, z_mm in ((wide_mm, 0.0), (half_mm, -MOUTH_DEPTH_MM), (half_mm, -PLATE_THICKNESS_MM))
+    ]
+    top, bottom = _at(PLATE_MM, 0.0), _at(PLATE_MM, -PLATE_THICKNESS_MM)
+    faces = [
+        Face(outline_mm=top, holes_mm=(loops[0],)),
+        Face(outline_mm=bottom[::-1], holes_mm=(loops[2],)),
+        *_walls(bottom, top),
+        *_walls(loops[1][::-1], loops[0][::-1]),
+        *_walls(loops[2][::-1], loops[1][::-1]),
+    ]
+    return solid_from_faces(faces, "plate")
+
+
+def _at(outline_mm: FloatArray, z_mm: float) -> FloatArray:
+    return np.column_stack([outline_mm, np.full(len(outline_mm), z_mm)])
+
+
+def _walls(low: FloatArray, high: FloatArray) -> list[Face]:
+    return [Face(outline_mm=np.array([low[i - 1], low[i], high[i], high[i - 1]])) for i in range(len(low))]
+
+
+class SoftPlugScene:
+    """A plug between the gels above its hole, and the motions of the gripper.
+
+    Attributes:
+        grasped: the physics, the gripper and its sensors.
+        env_steps: played so far in the episode.
+        shape: of the plug.
+        measured_vertices: corners of its lower face.
+        largest_bend_mm: of the plug at the ends of the env steps so far.
+    """
+
+    def __init__(self, *, start: SoftPlugStart, meshes: Meshes, settings: SoftPlugSettings, clocks: Clocks) -> None:
+        self.shape, self.env_steps, self.largest_bend_mm = start.shape, 0, 0.0
+        self._settings = settings
+        self._start_mm = np.array([start.x_mm, start.y_mm, START_GAP_MM])
+        gel, plug = meshes.gel(), plug_mesh(start.shape)
+        pose = GripperPose(
+            x_m=1e-3 * start.x_mm,
+            y_m=1e-3 * start.y_mm,
+            z_m=1e-3 * (START_GAP_MM + GRASP_HEIGHT_MM),
+            angle_rad=0.0,
+            half_opening_m=1e-3 * (0.5 * WIDTH_MM[start.shape] + highest_mm(gel) + GRASP_GAP_MM),
+        )
+        self.grasped = GraspedScene(
+            gripper=Gripper(mounts=UPRIGHT_MOUNTS, gel=gel, pose=pose),
+            held=GelBody(
+                mesh=plug,
+                rotation=np.eye(3),
+                translation_m=1e-3 * self._start_mm,
+                youngs_modulus_pa=1e6 * settings.plug_modulus_mpa,
+                poisson_ratio=POISSON_RATIO,
+                density_kg_m3=DENSITY_KG_M3,
+                material=PART_MATERIAL,
+            ),
+            fixed=fixed_at_origin(plate_mesh(start.shape, settings.interference_mm), friction=0.5),
+            physics=settings.physics,
+            sensors=meshes.sensors(settings.markers),
+            clocks=clocks,
+        )
+        rest_m = self.grasped.held_surface.vertices_m
+        self._lower_face = np.flatnonzero(rest_m[:, 2] == 0.0)
+        across = np.abs(rest_m[:, :2]).min(axis=1)
+        self.measured_vertices = self._lower_face[across[self._lower_face] == across[self._lower_face].max()]
+        self._start_pose = pose
+
+    def grasp(self) -> None:
+        """Close on the plug in free air, and take the references."""
+        closing_m = 1e-3 * (GRASP_GAP_MM + self._settings.indentation_mm)
+        self.grasped.move_to(self._start_pose.moved(closing_m=closing_m), ipc_steps=GRASP_STEPS)
+        self.grasped.capture_references()
+
+    def move(self, command: FloatArray) -> None:
+        """Move the gripper as an action says."""
+        x_mm, y_mm, z_mm = (np.clip(command, -1.0, 1.0) * np.array(self._settings.action_scale_mm)).tolist()
+        goal = self.grasped.pose.moved(x_m=1e-3 * x_mm, y_m=1e-3 * y_mm, z_m=1e-3 * z_mm)
+        self.grasped.move_to(goal, ipc_steps=self._settings.ipc_steps)
+        self.largest_bend_mm = max(self.largest_bend_mm, self.bend_mm())
+
+    def relative_motion_mm(self) -> FloatArray:
+        """Return the commanded motion of the gripper since the start [mm], shape [3]."""
+        pose, start = self.grasped.pose, self._start_pose
+        return 1e3 * np.array([pose.x_m - start.x_m, pose.y_m - start.y_m, pose.z_m - start.z_m])
+
+    def offset_mm(self) -> FloatArray:
+        """Return where the gripper holds the plug beside its hole [mm], shape [2]."""
+        return 1e3 * np.array([self.grasped.pose.x_m, self.grasped.pose.y_m])
+
+    def heights_mm(self) -> FloatArray:
+        """Return the heights of the corners of the plug's lower face above the rim [mm], shape [4]."""
+        return 1e3 * self.grasped.held_vertices_m(self.measured_vertices)[:, 2]
+
+    def lower_end_mm(self) -> FloatArray:
+        """Return the middle of the plug's lower face [mm], shape [3]."""
+        points: list[list[float]] = (1e3 * self.grasped.held_vertices_m(self._lower_face)).tolist()
+        return np.array([sum(column) / len(points) for column in zip(*points, strict=True)])
+
+    def bend_mm(self) -> float:
+        """Return how far the plug's lower end is beside where the gripper holds it [mm]."""
+        x, y = (self.lower_end_mm()[:2] - self.offset_mm()).tolist()
+        return float(np.sqrt(x * x + y * y))

@@ -1,0 +1,145 @@
+"""The soft plug on a stand-in for the physics, where it moves with the gripper and never bends."""
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import pytest
+from fake_scene import FakeScene
+from unpacked_files import unpack
+from vitac.envs.drawing.playback import record
+from vitac.envs.playback_files.scene import pack_scene
+from vitac.envs.tasks.settings import ResetOptionsError, SettingsError
+from vitac.envs.tasks.soft_plug.env import SoftPlugEnv, over_the_hole_then_in
+from vitac.envs.tasks.soft_plug.scene import WIDTH_MM, PlugShape, SoftPlugScene, plate_mesh, plug_mesh
+
+START = {"shape": "slim", "offset_mm": (2.0, -1.0), "rng_seed": (0, 1)}
+DOWN = (0.0, 0.0, -1.0)
+
+
+@pytest.fixture(autouse=True)
+def physics(fake_scenes: list[FakeScene]) -> list[FakeScene]:
+    return fake_scenes
+
+
+def played(*actions: tuple[float, float, float], start: dict[str, Any] = START, **settings: Any) -> tuple[Any, ...]:
+    env = SoftPlugEnv(**settings)
+    result: tuple[Any, ...] = env.reset(options=start)
+    for action in actions:
+        result = env.step(np.array(action, dtype=np.float32))
+    return env, *result
+
+
+@pytest.mark.parametrize("shape", list(PlugShape))
+def test_plug_is_free_and_has_rounded_corners(shape: PlugShape) -> None:
+    mesh = plug_mesh(shape)
+    half_mm = 0.5 * WIDTH_MM[shape]
+    lower_mm = 1e3 * mesh.rest_position_m[mesh.rest_position_m[:, 2] == 0.0]
+    assert mesh.is_free
+    assert np.ptp(1e3 * mesh.rest_position_m, axis=0) == pytest.approx([2 * half_mm, 2 * half_mm, 38.0], rel=0.03)
+    assert np.hypot(*lower_mm[:, :2].T).max() == pytest.approx(half_mm * np.sqrt(2 * 0.75))
+
+
+@pytest.mark.parametrize("interference_mm", [-0.2, 0.0, 0.15])
+def test_hole_is_narrower_than_the_plug_and_has_a_wider_mouth(interference_mm: float) -> None:
+    vertices_mm = 1e3 * plate_mesh(PlugShape.STOPPER, interference_mm).vertices_m
+    inner = vertices_mm[np.abs(vertices_mm[:, 0]) < 20.0]
+    reach_mm = {round(float(z), 6): float(np.abs(inner[inner[:, 2] == z, :2]).max()) for z in np.unique(inner[:, 2])}
+    narrow_mm = 5.0 - interference_mm
+    assert reach_mm == pytest.approx({0.0: 6.0, -2.0: narrow_mm, -10.0: narrow_mm})
+
+
+def test_action_moves_the_gripper_along_three_axes() -> None:
+    _, observation, _, _, _, info = played((0.5, -1.0, 0.2), (-2.0, 0.0, 0.1))
+    assert observation["relative_motion"] == pytest.approx([-0.5, -1.0, 0.3])
+    assert info["gt_offset_mm"] == pytest.approx([1.5, -2.0])
+    assert info["heights_mm"] == pytest.approx(np.full(4, 0.6 + 0.3))
+
+
+def test_plug_has_the_stiffness_that_was_drawn(physics: list[FakeScene]) -> None:
+    env = SoftPlugEnv(draws={"plug_modulus_mpa": (1.0, 2.0), "interference_mm": (0.05, 0.15)})
+    moduli = set()
+    for seed in range(3):
+        env.reset(seed=seed)
+        assert 1e6 <= physics[-1].gels[2].youngs_modulus_pa <= 2e6
+        moduli.add(physics[-1].gels[2].youngs_modulus_pa)
+    assert len(moduli) == 3
+
+
+def test_success_is_all_of_the_lower_face_deep_in_the_hole() -> None:
+    over = START | {"offset_mm": (0.0, 0.0)}
+    *_, info = played(*[DOWN] * 4, start=over)
+    assert (info["end_reason"], info["heights_mm"].max()) == (None, pytest.approx(-3.4))
+    _, _, reward, terminated, truncated, info = played(*[DOWN] * 5, start=over)
+    assert (terminated, truncated, info["end_reason"]) == (True, False, "success")
+    assert reward == pytest.approx(0.6 + 10.0 - 0.1)
+
+
+@pytest.mark.parametrize("bend_mm", [1.4, 1.6])
+def test_a_plug_whose_end_is_aside_has_buckled(monkeypatch: pytest.MonkeyPatch, bend_mm: float) -> None:
+    monkeypatch.setattr(SoftPlugScene, "bend_mm", lambda _: bend_mm)
+    _, _, reward, _, truncated, info = played(DOWN)
+    assert (info["end_reason"], truncated) == (("error", True) if bend_mm > 1.5 else (None, False))
+    assert (reward < -9.0) == truncated
+    assert info["largest_bend_mm"] == bend_mm
+
+
+def test_a_gripper_that_has_left_the_hole_and_one_that_ran_out_of_time_have_failed() -> None:
+    far = START | {"offset_mm": (7.5, 0.0)}
+    assert played((1.0, 0.0, 0.0), start=far)[-1]["end_reason"] == "error"
+    assert played(*[(0.0, 0.0, 0.0)] * 2, max_steps=2)[-1]["end_reason"] == "steps"
+
+
+def test_starts_that_are_drawn_are_beside_the_hole_and_of_both_plugs() -> None:
+    env = SoftPlugEnv()
+    shapes, largest_mm = Counter[str](), 0.0
+    for seed in range(30):
+        _, info = env.reset(seed=seed)
+        aside_mm = float(np.abs(info["gt_offset_mm"]).max())
+        assert 1.2 <= aside_mm <= 3.0
+        largest_mm = max(largest_mm, aside_mm)
+        shapes[str(env.task_scene.shape)] += 1
+    assert largest_mm > 2.5
+    assert min(shapes[shape] for shape in PlugShape) > 5
+
+
+def test_expert_goes_over_the_hole_before_it_pushes() -> None:
+    env, observation, info = played()
+    heights_mm = []
+    while info["end_reason"] is None:
+        if np.abs(info["gt_offset_mm"]).max() > 0.2:
+            heights_mm.append(info["heights_mm"].min())
+        observation, *_, info = env.step(over_the_hole_then_in(observation, info))
+    assert info["end_reason"] == "success"
+    assert min(heights_mm) > 0.0
+
+
+@pytest.mark.parametrize("option", [{"shape": "cork"}, {"offset_mm": (9.0, 0.0)}, {"offset_mm": (1.0,)}])
+def test_options_that_are_no_start_are_refused(option: dict[str, Any]) -> None:
+    with pytest.raises(ResetOptionsError, match=f"ViTac/SoftPlug-v1: option '{next(iter(option))}'"):
+        SoftPlugEnv().reset(options=option)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("max_steps", 0),
+        ("ipc_steps", 0),
+        ("action_scale_mm", (1.0, 1.0)),
+        ("indentation_mm", 0.0),
+        ("plug_modulus_mpa", 0.1),
+        ("interference_mm", 1.0),
+        ("largest_bend_mm", 0.0),
+        ("random_xy_mm", 1.0),
+    ],
+)
+def test_settings_out_of_range_are_refused(name: str, value: Any) -> None:
+    with pytest.raises(SettingsError, match=name):
+        SoftPlugEnv(**{name: value})
+
+
+def test_playback_has_the_plugs_own_surface() -> None:
+    playback = record(SoftPlugEnv(max_steps=2), options=START, next_action=lambda *_: np.zeros(3, dtype=np.float32))
+    file = unpack(pack_scene(playback))
+    assert (file.header["held_name"], file.header["fixed_name"]) == ("plug", "plate")
+    assert len(file.arrays["held_vertices_mm"]) == len(plug_mesh(PlugShape.SLIM).surface_nodes)
