@@ -5,7 +5,7 @@ published by an organizer, who has what they played.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from statistics import fmean
 from typing import Any, TypeAlias
 
@@ -30,6 +30,7 @@ class _Figures:
 
     Attributes:
         starts: by shape, of how many starts no repeat was solved, of how many one, and so on to all repeats.
+        measures: means of what the task's boards rank by.
     """
 
     track: str
@@ -37,6 +38,7 @@ class _Figures:
     name: str
     starts: Mapping[str, tuple[int, ...]]
     mean_steps: float
+    measures: Mapping[str, float] = field(default_factory=dict)
 
     def rate(self, shapes: Iterable[str]) -> Rate:
         """Return the successes with some of the shapes."""
@@ -83,6 +85,14 @@ _FIGURES = (
         "track_3_dome",
         {"cuboid": (25, 1, 1, 3), "trapezoid": (23, 4, 3, 0), "concave1": (27, 2, 1, 0)},
         4.19,
+    ),
+    _Figures(
+        "explore",
+        "explore",
+        "explore_scripted",
+        {"bar": (9, 11), "beam": (6, 14), "corner": (8, 12), "cross": (6, 14), "frame": (4, 16), "square": (4, 16)},
+        6.00,
+        {"brier_score": 0.3006},
     ),
 )
 _COMBINED = {"track_1_heuristic": ("peg_insertion_heuristic", "lock_opening_heuristic")}
@@ -221,6 +231,7 @@ def _view(name: str, parts: list[_Figures]) -> BaselineView:
         success_rate=fmean(rate.success_rate for rate in rates),
         success_rate_interval=bounds(interval),
         mean_steps=fmean(part.mean_steps for part in parts),
+        measures=dict(parts[0].measures) if len(parts) == 1 else {},
         scores=[_score(part) for part in parts],
     )
 

@@ -85,3 +85,13 @@ def test_the_example_of_all_tasks_has_copies_of_those_of_each(repository: Path) 
 
 def test_a_track_that_no_example_has_played_has_none() -> None:
     assert list_examples(load_track("track_1_peg_robust"), None) == []
+
+
+@pytest.mark.parametrize(("track", "measure"), [("explore", "brier_score")])
+def test_figures_of_the_new_tasks_are_those_of_their_examples(repository: Path, track: str, measure: str) -> None:
+    [shown] = list_examples(load_track(track), None)
+    text = (repository / "examples" / shown.name / "README.md").read_text()
+    measured = re.search(r"^(\d+) of the (\d+) public episodes", text, re.MULTILINE)
+    assert measured
+    assert (str(shown.successes), str(shown.episodes)) == measured.groups()
+    assert f" of {shown.measures[measure]:.3g}" in text
