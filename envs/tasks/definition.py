@@ -74,6 +74,8 @@ class Measure:
         needs: entries of the info that it is read from.
         read: gives the quantities from an info that has these entries.
         better: which values are in front; None where no board may rank by it.
+        of_no_env_step: quantity of an episode that ended before its first env step; None where there is none to say,
+            and then its submission has no mean.
     """
 
     name: str
@@ -83,9 +85,16 @@ class Measure:
     needs: tuple[str, ...]
     read: Callable[[InfoView], tuple[float, ...]]
     better: Better | None = None
+    of_no_env_step: float | None = None
 
-    def read_end(self, info: InfoView) -> float | None:
-        """Return the largest quantity in the info of an episode's last env step; None where it has none."""
+    def read_end(self, info: InfoView | None) -> float | None:
+        """Return the largest quantity in the info of an episode's last env step; None where it has none.
+
+        Args:
+            info: None if the episode ended before its first env step.
+        """
+        if info is None:
+            return self.of_no_env_step
         if not all(key in info for key in self.needs):
             return None
         return max(self.read(info), default=None)

@@ -210,12 +210,11 @@ def with_fidelity(settings: SettingsT, fidelity: Fidelity) -> SettingsT:
     """
     if fidelity is Fidelity.FULL:
         return settings
-    from ..fem.model.settings import SolverSettings
-
     physics: Any = settings.physics  # type: ignore[attr-defined]
-    if physics.solver != SolverSettings():
+    standard: Any = type(settings)().physics.solver  # type: ignore[attr-defined]
+    if physics.solver != standard:
         raise SettingsError(f"Argument 'fidelity' is '{fidelity}', which has a solver of its own; leave out yours.")
-    solver = SolverSettings(step_tolerance_m=_STEP_TOLERANCE_M, residual_tolerance_n=_RESIDUAL_TOLERANCE_N)
+    solver = replace(standard, step_tolerance_m=_STEP_TOLERANCE_M, residual_tolerance_n=_RESIDUAL_TOLERANCE_N)
     return replace(settings, physics=replace(physics, solver=solver))  # type: ignore[type-var]
 
 

@@ -262,14 +262,14 @@ def score(records: Collection[EpisodeRecord], measures: Iterable[Measure] = ()) 
         outcomes=dict(sorted(Counter(record.outcome for record in records).items())),
         forces=summarize_forces(record.forces for record in records),
         measures=average_shared(
-            [read_measures(record.infos[-1] if record.infos else {}, measures) for record in ordered]
+            [read_measures(record.infos[-1] if record.infos else None, measures) for record in ordered]
         ),
         twins=Counter(record.evidence.twin for record in ordered if record.evidence and record.evidence.twin),
     )
 
 
-def read_measures(end: InfoView, measures: Iterable[Measure]) -> dict[str, float]:
-    """Return what an episode has of what boards may rank by, from the info of its last env step."""
+def read_measures(end: InfoView | None, measures: Iterable[Measure]) -> dict[str, float]:
+    """Return what an episode has of what boards may rank by, from the info of its last env step; None without one."""
     values = {measure.name: measure.read_end(end) for measure in measures if measure.better is not None}
     return {name: value for name, value in values.items() if value is not None and isfinite(value)}
 

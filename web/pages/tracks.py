@@ -69,6 +69,11 @@ PICTURES: Mapping[str, Sequence[Picture]] = {
         ),
     ),
     "soft-plug": (_scene("soft-plug", "A gripper whose two gels hold a soft plug, bent above a plate with a hole"),),
+    "assembly": (
+        _scene(
+            "assembly", "A gripper whose two gels hold a part by its head, its two lugs in a socket that is cut open"
+        ),
+    ),
     "slip": (_scene("slip", "A gripper whose two gels hold a hexagonal column above a table"),),
     "explore": (_scene("explore", "A gripper whose two gels hold a block; below it a cross, one arm of it on a pin"),),
     "moving-hole": (_scene("moving-hole", f"{_PEG} that moves"),),

@@ -14,7 +14,10 @@ from vitac.envs.tasks.settings import SettingsError
 from vitac.evaluator.tracks import list_tracks, load_track
 
 ENV_IDS = sorted(vitac.envs.ENVIRONMENTS)
-OF_ARENA = ["ViTac/Explore-v1", "ViTac/InHandTurn-v1", "ViTac/MovingHole-v1", "ViTac/Slip-v1", "ViTac/SoftPlug-v1"]
+OF_ARENA = [
+    *("ViTac/Assembly-v1", "ViTac/Explore-v1", "ViTac/InHandTurn-v1", "ViTac/MovingHole-v1", "ViTac/Slip-v1"),
+    "ViTac/SoftPlug-v1",
+]
 
 
 def made(env_id: str, **arguments: Any) -> Any:

@@ -1,7 +1,7 @@
 """Random episodes at the bounds of what a policy may do, every IPC step checked.
 
-Usage: python tests/support/physics/physics_fuzz.py [--task peg|lock|moving|explore|turn|slip|plug] [--first SEED]
-                                                     [--episodes N] [--past-end] [--eigenvalues] [--json FILE]
+Usage: python tests/support/physics/physics_fuzz.py [--task peg|lock|moving|explore|turn|slip|plug|assembly]
+           [--first SEED] [--episodes N] [--past-end] [--eigenvalues] [--json FILE]
 
 Prints every IPC step that was divided, did not converge or would not last, with the numbers that play it again.
 """
@@ -22,6 +22,8 @@ from vitac.envs.fem.scene.scene import StepReport, StepStatus
 from vitac.envs.geometry.keys_and_locks import KeyShape
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import GraspedScene, PhysicsSettings
+from vitac.envs.tasks.assembly.env import LARGEST_MM_DEG, AssemblyEnv
+from vitac.envs.tasks.assembly.scene import HeadShape
 from vitac.envs.tasks.explore.definition import EndShape
 from vitac.envs.tasks.explore.env import ExploreEnv
 from vitac.envs.tasks.in_hand_turn.env import DRAWN, InHandTurnEnv
@@ -37,6 +39,8 @@ from vitac.envs.tasks.soft_plug.scene import PlugShape
 from vitac.envs.tasks.task_env import TactileTaskEnv
 
 PEG, LOCK, MOVING, EXPLORE, TURN, SLIP, PLUG = "peg", "lock", "moving", "explore", "turn", "slip", "plug"
+ASSEMBLY = "assembly"
+TASKS = (PEG, LOCK, MOVING, EXPLORE, TURN, SLIP, PLUG, ASSEMBLY)
 ENV_STEPS = 8
 
 
@@ -98,6 +102,8 @@ def fuzzed_environment(task: str, random: np.random.Generator, assets_dir: Path 
     if task == PLUG:
         drawn = {"plug_modulus_mpa": (0.8, 4.0), "interference_mm": (-0.2, 0.2), "indentation_mm": (0.4, 0.8)}
         return SoftPlugEnv(assets_dir=assets_dir, draws=drawn)
+    if task == ASSEMBLY:
+        return AssemblyEnv(assets_dir=assets_dir, draws={"gel_friction": (0.3, 1.5)})
     standard = lock_physics()
     physics = PhysicsSettings(
         gel_friction=gel_friction, time_step_s=standard.time_step_s, contact=standard.contact, solver=standard.solver
@@ -128,6 +134,9 @@ def start_options(task: str, random: np.random.Generator) -> dict[str, Any]:
     if task == PLUG:
         x, y = random.uniform(-3, 3, 2)
         return {"shape": str(random.choice(list(PlugShape))), "offset_mm": (float(x), float(y))}
+    if task == ASSEMBLY:
+        offset = tuple(float(random.uniform(-largest, largest)) for largest in LARGEST_MM_DEG)
+        return {"shape": str(random.choice(list(HeadShape))), "offset_mm_deg": offset}
     shape = str(random.choice(list(KeyShape)))
     return {"shape": shape, "offset_mm": (float(random.uniform(0, 5)), 0.0, 0.0)}
 
@@ -189,9 +198,7 @@ def fuzz_episode(
     task: str, seed: int, *, past_end: bool = False, eigenvalues: bool = False, assets_dir: Path | None = None
 ) -> Iterator[FuzzedStep]:
     """Play one random episode until it ends, or on to its last env step unless an IPC step does not converge."""
-    random = np.random.default_rng(
-        np.random.SeedSequence([{PEG: 1, LOCK: 2, MOVING: 3, EXPLORE: 4, TURN: 5, SLIP: 6, PLUG: 7}[task], seed])
-    )
+    random = np.random.default_rng(np.random.SeedSequence([1 + TASKS.index(task), seed]))
     env = fuzzed_environment(task, random, assets_dir)
     options = start_options(task, random) | {"rng_seed": (seed,)}
     _, info = env.reset(options=options)
@@ -268,7 +275,7 @@ def _is_remarkable(step: FuzzedStep) -> bool:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--task", choices=(PEG, LOCK, MOVING, EXPLORE, TURN, SLIP, PLUG), default=PEG)
+    parser.add_argument("--task", choices=TASKS, default=PEG)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--past-end", action="store_true", help="play on after a flag ended the episode")

@@ -1,4 +1,5 @@
 import random
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -176,8 +177,11 @@ def test_what_a_board_may_rank_by_is_averaged_where_every_episode_has_it() -> No
         make_record(2, env_steps=1, infos=({**everywhere, "error_mm": [1.0]},)),
     ]
     assert score(records, measures).measures == {"error_mm": 1.5}
-    assert score([*records, make_record(3, EpisodeOutcome.POLICY_FAILED, env_steps=0)], measures).measures == {}
+    unplayed = make_record(3, EpisodeOutcome.POLICY_FAILED, env_steps=0)
+    assert score([*records, unplayed], measures).measures == {}
     assert score(records).measures == {}
+    said = [replace(measure("error_mm"), of_no_env_step=6.0)]
+    assert score([*records, unplayed], said).measures == {"error_mm": 3.0}
 
 
 PEG, LOCK = "peg-insertion", "lock-opening"

@@ -57,7 +57,7 @@ def test_a_sealed_list_has_other_seeds() -> None:
         ("obs_mode: state", "observe: state", r"Unknown setting 'observe'"),
         ("obs_mode: state", "batch_size: 4", r"batch_size is 4, expected 1: only physx_cuda"),
         ("obs_mode: state", "sim_backend: physx_cuda, batch_size: 16", r"shard_size is 10, expected at least batch_s"),
-        ("ManiSkill/PickCube-v1", "Other/PickCube-v1", r"env_id is 'Other/PickCube-v1', expected one of ViTac/Explore"),
+        ("ManiSkill/PickCube-v1", "Other/PickCube-v1", r"env_id is 'Other/PickCube-v1', expected one of ViTac/Ass"),
     ],
 )
 def test_a_file_that_cannot_be_played_is_refused_when_it_is_read(old: str, new: str, message: str) -> None:

@@ -280,7 +280,7 @@ def test_unknown_environment_names_those_that_there_are(content: dict[str, objec
     content["tasks"]["peg-insertion"]["env_id"] = "ViTac/Peg-v1"  # type: ignore[index]
     with pytest.raises(
         DocumentRejected,
-        match=r"'ViTac/Peg-v1', expected one of ViTac/Explore-v1, ViTac/FusionInsertion-v1, ViTac/InHand",
+        match=r"'ViTac/Peg-v1', expected one of ViTac/Assembly-v1, ViTac/Explore-v1, ViTac/FusionInsertion-v1",
     ):
         parse(content)
 
@@ -306,6 +306,7 @@ def test_tracks_of_a_folder_stand_beside_ours(further: Path, content: dict[str, 
     assert (names, last) == (sorted({*names, "mine"}), "maniskill")
     assert find_task("my-peg")[0].name == "mine"
     assert archive_folders() == (
+        "Assembly",
         "Explore",
         "InHandTurn",
         "Mine",
