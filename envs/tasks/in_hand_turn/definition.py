@@ -11,7 +11,7 @@ from ...tactile.gel import ARENA_SENSING_NODES
 from ..definition import OPTIONAL_SENSORS, SURFACE_DIFF, ActionComponent, Better, Measure, TaskDefinition
 from ..quantities import TOUCH_QUANTITIES, symmetric
 
-TOLERANCE_DEG = 1.5
+TOLERANCE_DEG = 0.5
 """Largest error of the angle that counts as success."""
 
 HELD = symmetric(name="held_mm", unit="mm", meaning="Grasp along the rod above its nominal place", largest=4.0)
@@ -96,6 +96,7 @@ TASK = TaskDefinition(
     ),
     optional_observables=OPTIONAL_SENSORS,
     measures=(ANGLE_ERROR, SURFACE_DIFF),
+    start_labels=("gap {} mm", "rod at {}°", "goal {}°"),
     perspective="vitac.envs.tasks.in_hand_turn.definition:PERSPECTIVE",
     guided_motion="vitac.envs.tasks.in_hand_turn.env:press_until_it_stays",
     quantities=(*TOUCH_QUANTITIES, HELD),

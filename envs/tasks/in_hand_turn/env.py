@@ -37,7 +37,7 @@ class InHandTurnEnv(TactileTaskEnv[InHandTurnScene, InHandTurnSettings]):
     `rng_seed`, the integers that seed the episode's generator in place of the environment's own. What is left open is
     drawn: the shape, a gap of 0.5 to 16.5 mm, an angle of -8 to 6 degrees, and a goal of 14 to 32 degrees.
 
-    Ends: terminated after 14 env steps with an error of at most 1.5 degrees (`end_reason` "success"); truncated by a
+    Ends: terminated after 14 env steps with an error of at most 0.5 degrees (`end_reason` "success"); truncated by a
     sensing surface that moved more than 1.5 mm ("tactile"), a gripper more than 8 mm above or below where it started or
     a rod at more than 75 degrees ("error"), 14 env steps ("steps"), or physics that did not converge ("not_converged",
     after which nothing moves).
