@@ -5,6 +5,7 @@ import { drawn, element } from "./elements.js";
 const WIDTH = 300;
 const HEIGHT = 130;
 const COLOURS = 6;
+const LETTERS = 50; // of a title and its lines that fit beside each other
 const BOX = { left: 40, right: 292, top: 22, bottom: 106 };
 
 export class Plots {
@@ -61,7 +62,7 @@ export class Plots {
     const svg = drawn(
       "svg",
       { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", "aria-label": `${title} over the env steps` },
-      drawn("text", { class: "plot-title", x: 2, y: 12 }, title, ...key),
+      drawn("text", { class: "plot-title", x: 2, y: 12, ...narrowed(title, lines) }, title, ...key),
       drawn("line", { class: "axis", x1: BOX.left, x2: BOX.right, y1: y(0), y2: y(0) }),
       label(BOX.left - 4, y(high) + 4, short(high), "end"),
       label(BOX.left - 4, y(low) + 4, short(low), "end"),
@@ -82,6 +83,12 @@ export class Plots {
     svg.append(cursor);
     return element("div", { class: "plot" }, svg);
   }
+}
+
+/** What keeps a title with the names of its lines within the plot, where both would be wider. */
+function narrowed(title, lines) {
+  const letters = lines.length > 1 ? lines.reduce((sum, { name }) => sum + name.length + 2, title.length) : title.length;
+  return letters > LETTERS ? { textLength: WIDTH - 4, lengthAdjust: "spacingAndGlyphs" } : {};
 }
 
 /** What is plotted; `first` is the env step of a line's first value, or `times` has one for each. */

@@ -16,7 +16,8 @@ export class Sections {
     this.fixed = fixed.values;
     this.held = new Float32Array(held.values.length);
     this.top = greatest(this.fixed, 2);
-    const { normal, offset_mm: offset } = episode.header.cut ?? { normal: [1, 0, 0], offset_mm: 0 };
+    const { normal, offset_mm } = episode.header.cut ?? { normal: [1, 0, 0], offset_mm: 0 };
+    const offset = this.#crossing(normal, offset_mm);
     const across = [-normal[1], normal[0], 0];
     this.views = [
       { canvas: above, axes: [[1, 0, 0], [0, 1, 0]], planes: () => this.#levels(), other: () => [normal, offset] },
@@ -30,6 +31,18 @@ export class Sections {
     for (const view of this.views) this.#draw(view);
     const where = this.episode.header.positions?.[step];
     if (where) this.views[0].canvas.nextSibling.textContent = `${this.title}: ${where}`;
+  }
+
+  /** Where the upright plane stands along its normal: as the scene is cut open, or in the held part where that misses both. */
+  #crossing(normal, offset) {
+    const reach = (vertices) => {
+      const along = Array.from({ length: vertices.length / 3 }, (_, at) => normal.reduce((sum, part, axis) => sum + part * vertices[3 * at + axis], 0));
+      return [Math.min(...along), Math.max(...along)];
+    };
+    const [low, high] = reach(this.fixed);
+    if (low < offset && offset < high) return offset;
+    this.#placeHeld({ before: 0, next: 0, fraction: 0 });
+    return reach(this.held).reduce((sum, end) => sum + 0.5 * end, 0);
   }
 
   #placeHeld(place) {

@@ -192,7 +192,8 @@ export class Stage extends View {
     const own = { values: vertices.values.slice() }; // a soft part's move
     const held = solid(geometryOf(own, triangles), look, LOOK.held_section);
     Object.assign(held.mesh, { matrixAutoUpdate: false, renderOrder: 1 });
-    if (look === HELD) held.mesh.add(...(this.names = this.#names(vertices.values)));
+    if (look === HELD) this.names = this.#names(vertices.values);
+    if (look === HELD && this.names.length) held.mesh.add(...this.names); // three complains where nothing is added
     this.scene.add(held.mesh);
     return held;
   }

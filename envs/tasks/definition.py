@@ -125,6 +125,8 @@ class TaskDefinition:
         accepts_start: place of a function that says of a shape and a drawn offset whether an episode may start there;
             None where it may anywhere.
         quantities: what a track file may draw for every episode.
+        start_labels: how pages say where an episode starts: a text for each number of a start, with {} in its place. By
+            default these are x, y and z [mm] or, where an action turns the part, x, y [mm] and its angle [deg].
         info_lengths: numbers of those entries of an info that have more for some shapes than for others, at most.
     """
 
@@ -144,6 +146,7 @@ class TaskDefinition:
     batch_size: int = 1
     accepts_start: str | None = None
     quantities: tuple[Quantity, ...] = ()
+    start_labels: tuple[str, ...] = ()
     info_lengths: Mapping[str, int] = field(default_factory=dict)
 
     @property

@@ -20,6 +20,7 @@ from service_client import serving
 from site_under_test import SiteUnderTest
 from starlette.responses import HTMLResponse
 from submission_steps import make_worker
+from vitac.evaluator.tracks import find_task
 from vitac.server.database.states import WorkState
 from vitac.web.pages.episodes.page import player_script
 from waiting import resize, until, wait_for_rest
@@ -28,6 +29,7 @@ pytestmark = pytest.mark.slow(minutes=3)
 
 HOUR_S = 3600  # later than a page of which only the clock is told to go on can be
 PEG, LOCK, FUSION = "peg-insertion", "lock-opening", "fusion-insertion"
+OF_ARENA = ("moving-hole", "explore", "in-hand-turn", "slip")
 
 
 @pytest.fixture(scope="module")
@@ -61,9 +63,10 @@ def page(browser: Browser, site: SiteUnderTest) -> Iterator[Page]:
 
 def made(site: SiteUnderTest, task: str = PEG, number: int = 5) -> str:
     """Path of an episode with a playback of real physics."""
-    if task == FUSION and "fused" not in site.seeded.added:
-        site.seeded.submit(GELBOTS, "fused", {FUSION: (1, 1, 1)})
-    name = "fused" if task == FUSION else "both"
+    name = "both" if task in (PEG, LOCK) else f"of {task}"
+    if name != "both" and name not in site.seeded.added:
+        shapes = find_task(task)[1].episode_list.shapes
+        site.seeded.submit(GELBOTS, name, {task: (1,) * len(shapes)})
     return ask_for_playback(site.seeded, name, number, task, state=WorkState.DONE)
 
 
@@ -121,6 +124,21 @@ def test_an_episode_is_seen_in_3d_with_what_was_measured(
     names = ("left sensor", "right sensor", "from above", "section")
     panels = [page.get_by_role("img", name=name).bounding_box() for name in names]
     assert len({panel["y"] for panel in panels if panel}) == 1, "what is felt and both sections stand in one row"
+    assert violations(page) == []
+
+
+@pytest.mark.parametrize("task", OF_ARENA)
+def test_an_episode_of_every_further_task_is_seen_from_its_start_to_its_end(
+    site: SiteUnderTest, page: Page, task: str
+) -> None:
+    open_player(site, page, made(site, task, 2))
+    assert len(colours(page.locator("canvas.scene"))) > 8
+    expect(page.get_by_role("img", name="over the env steps")).to_have_count(5)
+    ended = seen(page.locator("canvas.scene"))
+    expect_time(page, str(len(guided(task, 2).rewards)))
+    page.get_by_label("Env step", exact=True).press("Home")
+    expect_time(page, "0")
+    assert seen(page.locator("canvas.scene")) != ended
     assert violations(page) == []
 
 

@@ -101,6 +101,7 @@ TASK = TaskDefinition(
     ),
     optional_observables=OPTIONAL_SENSORS,
     measures=(SURFACE_DIFF, BRIER),
+    start_labels=("x {} mm", "y {} mm", "turned {}°"),
     perspective="vitac.envs.tasks.explore.definition:PERSPECTIVE",
     guided_motion="vitac.envs.tasks.explore.env:touch_around",
     quantities=TOUCH_QUANTITIES,

@@ -101,6 +101,7 @@ TASK = TaskDefinition(
     ),
     optional_observables=OPTIONAL_SENSORS,
     measures=(GRIP_FORCE, SURFACE_DIFF),
+    start_labels=("x {} mm", "z {} mm"),
     perspective="vitac.envs.tasks.slip.definition:PERSPECTIVE",
     guided_motion="vitac.envs.tasks.slip.env:with_the_force_it_needs",
     # The grip is the policy's own.

@@ -62,6 +62,7 @@ TASK = TaskDefinition(
             read=lambda info: tuple(info["gap_mm"]),
         ),
     ),
+    start_labels=("button {} mm high",),
     perspective="press_switch.perspective:PERSPECTIVE",
     guided_motion="press_switch.perspective:press_slowly",
 )

@@ -89,6 +89,18 @@ def test_another_action_is_found_by_its_state(collection: Path, tmp_path: Path) 
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("task", ["moving-hole", "explore", "in-hand-turn", "slip"])
+def test_demonstrations_of_the_tasks_of_arena_2_replay_by_hash_after_a_round_trip(task: str, tmp_path: Path) -> None:
+    """Two of the expert's own, and two with noise."""
+    collection = collect(task, tmp_path / "collection", successes=4, processes=1)
+    export(collection, tmp_path / "set", DatasetFormat.LEROBOT_3_0, processes=1, report=nothing)
+    assert run("data", "check", tmp_path / "set", "--replay", 2) == 0
+    assert run("data", "import", tmp_path / "set", "--to", tmp_path / "back") == 0
+    written = (tmp_path / "back" / task / FILE).read_bytes()
+    assert written == collection.read_bytes()
+
+
+@pytest.mark.slow
 def test_fifty_random_demonstrations_replay_by_hash_after_a_round_trip(tmp_path: Path) -> None:
     played = 0
     for task, successes in ((TASK, 25), ("peg-insertion", 25), ("fusion-insertion", 2)):

@@ -2,12 +2,28 @@ import pytest
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.tracks import load_track
 from vitac.server.views.submissions import EpisodeView
-from vitac.web.plots.map import MapCell, episode_map
+from vitac.web.plots.map import MapCell, describe_start, episode_map
 
 FOLDER = "/submissions/1/episodes/peg-insertion"
 TASK = load_track("track_1").tasks["peg-insertion"]
 
 START = ", start x −4.00 mm, y −4.00 mm, turned −8.00°"
+
+
+@pytest.mark.parametrize(
+    ("track", "task", "offset", "words"),
+    [
+        ("track_1", "peg-insertion", (1.0, -2.0, 3.0), "x +1.00 mm, y −2.00 mm, turned +3.00°"),
+        ("explore", "explore", (1.0, -2.0, 3.0), "x +1.00 mm, y −2.00 mm, turned +3.00°"),
+        ("in_hand_turn", "in-hand-turn", (0.5, -8.0, 14.0), "gap +0.50 mm, rod at −8.00°, goal +14.00°"),
+        ("slip", "slip", (1.5, 3.0), "x +1.50 mm, z +3.00 mm"),
+        ("moving_hole", "moving-hole", (4.0, -4.0, 8.0), "x +4.00 mm, y −4.00 mm, turned +8.00°"),
+    ],
+)
+def test_a_start_is_described_by_what_its_numbers_are(
+    track: str, task: str, offset: tuple[float, ...], words: str
+) -> None:
+    assert describe_start(load_track(track).tasks[task], offset) == words
 
 
 def an_end(number: int, outcome: EpisodeOutcome, env_steps: int = 3) -> EpisodeView:
