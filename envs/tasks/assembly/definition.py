@@ -16,8 +16,7 @@ from ...scene.observables import (
 )
 from ...scene.perspective import Beside, FloatArray, InfoView, Perspective, Plane, ProgressPlot, SectionView, signed
 from ...tactile.gel import ARENA_SENSING_NODES
-from ...vision.observables import RGB_IMAGES
-from ..definition import SURFACE_DIFF, ActionComponent, Better, Measure, TaskDefinition
+from ..definition import OPTIONAL_SENSORS, SURFACE_DIFF, ActionComponent, Better, Measure, TaskDefinition
 from ..quantities import TOUCH_QUANTITIES
 
 
@@ -105,7 +104,7 @@ TASK = TaskDefinition(
         CONTACT_FORCES,
         SURFACE_POINTS.with_nodes(ARENA_SENSING_NODES),
     ),
-    optional_observables=(RGB_IMAGES,),
+    optional_observables=OPTIONAL_SENSORS,
     measures=(STAGES, SURFACE_DIFF),
     perspective="vitac.envs.tasks.assembly.definition:PERSPECTIVE",
     guided_motion="vitac.envs.tasks.assembly.env:fetch_insert_and_turn",

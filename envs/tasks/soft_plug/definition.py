@@ -8,8 +8,7 @@ from ...observable import Observable
 from ...scene.observables import CONTACT_FORCES, MEASURED_POSE, SURFACE_POINTS, marker_flow, played_shape
 from ...scene.perspective import Beside, FloatArray, InfoView, Perspective, Plane, ProgressPlot, SectionView, signed
 from ...tactile.gel import ARENA_SENSING_NODES
-from ...vision.observables import RGB_IMAGES
-from ..definition import SURFACE_DIFF, ActionComponent, Better, Measure, TaskDefinition
+from ..definition import OPTIONAL_SENSORS, SURFACE_DIFF, ActionComponent, Better, Measure, TaskDefinition
 from ..quantities import TOUCH_QUANTITIES, Quantity
 
 SUCCESS_DEPTH_MM = 4.0
@@ -96,7 +95,7 @@ TASK = TaskDefinition(
         CONTACT_FORCES,
         SURFACE_POINTS.with_nodes(ARENA_SENSING_NODES),
     ),
-    optional_observables=(RGB_IMAGES,),
+    optional_observables=OPTIONAL_SENSORS,
     measures=(BEND, SURFACE_DIFF),
     perspective="vitac.envs.tasks.soft_plug.definition:PERSPECTIVE",
     guided_motion="vitac.envs.tasks.soft_plug.env:over_the_hole_then_in",
