@@ -67,7 +67,7 @@ class SoftPlugSettings:
     """
 
     max_steps: int = 24
-    ipc_steps: int = 2
+    ipc_steps: int = 4
     action_scale_mm: tuple[float, ...] = TASK.action_scale
     indentation_mm: float = 0.6
     plug_modulus_mpa: float = MODULUS.nominal

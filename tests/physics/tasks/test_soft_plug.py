@@ -84,7 +84,7 @@ def test_pushed_straight_down_beside_the_hole_it_is_crushed_or_snaps_in_bent() -
 
 @pytest.mark.slow
 def test_half_the_step_of_time_gives_the_same(beside_the_hole: Any) -> None:
-    finer = pressed(*[DOWN] * 5, ipc_steps=4, physics=replace(arena_physics(), time_step_s=0.05))
+    finer = pressed(*[DOWN] * 5, ipc_steps=8, physics=replace(arena_physics(), time_step_s=0.05))
     force_n = beside_the_hole.scene.force_on_held_n(FIXED)
     assert finer.scene.force_on_held_n(FIXED) == pytest.approx(force_n, rel=0.02, abs=0.02)
     assert finer.task_scene.heights_mm() == pytest.approx(beside_the_hole.task_scene.heights_mm(), abs=0.02)
