@@ -94,6 +94,38 @@ _FIGURES = (
         6.00,
         {"brier_score": 0.3006},
     ),
+    _Figures(
+        "in_hand_turn",
+        "in-hand-turn",
+        "in_hand_turn_scripted",
+        {"narrow": (53, 7), "wide": (52, 8)},
+        14.00,
+        {"angle_error_deg": 3.1147},
+    ),
+    _Figures(
+        "slip",
+        "slip",
+        "slip_scripted",
+        {"bar": (19, 21), "block": (17, 23), "column": (22, 18)},
+        21.66,
+        {"grip_force_n": 8.4394},
+    ),
+    _Figures(
+        "soft_plug",
+        "soft-plug",
+        "soft_plug_scripted",
+        {"slim": (17, 43), "stopper": (9, 51)},
+        15.28,
+        {"largest_bend_mm": 1.0652},
+    ),
+    _Figures(
+        "assembly",
+        "assembly",
+        "assembly_scripted",
+        {"narrow": (43, 17), "wide": (40, 20)},
+        23.76,
+        {"stages": 2.0417},
+    ),
 )
 _COMBINED = {"track_1_heuristic": ("peg_insertion_heuristic", "lock_opening_heuristic")}
 """Examples of all tasks of a track, and those of single tasks that they are copies of."""

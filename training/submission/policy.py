@@ -137,8 +137,8 @@ def felt_motion(marker_flow: NDArray[Any]) -> FloatArray:
         along_z = np.column_stack([none, none, one, y, -x, none])
         rows += [along_z + side * now[:, :1] * along_y, -side * along_x + side * now[:, 1:] * along_y]
         moved += [EYE_MM * (now - before)[:, 0], EYE_MM * (now - before)[:, 1]]
-    motion = np.linalg.lstsq(np.concatenate(rows), np.concatenate(moved), rcond=None)[0]
-    return np.concatenate([motion[:3], np.degrees(motion[3:])]).astype(np.float32)
+    found = np.linalg.lstsq(np.concatenate(rows), np.concatenate(moved), rcond=None)[0]
+    return np.concatenate([found[:3], np.degrees(found[3:])]).astype(np.float32)
 
 
 def candidate_actions(count: int) -> FloatArray:

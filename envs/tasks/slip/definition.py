@@ -79,7 +79,8 @@ GRIP_FORCE = Measure(
     read=lambda info: (info["mean_grip_force_n"],),
     better=Better.LOW,
 )
-"""Mean force of a jaw on the part at the ends of the env steps in which the load grows [N]; 0 before."""
+"""Mean force of a jaw on the part at the ends of the env steps in which the load grows [N]. In one that an episode did
+not reach it counts as the largest that does not crush the part, so that failing early gains nothing."""
 
 TASK = TaskDefinition(
     env_id="ViTac/Slip-v1",

@@ -85,7 +85,7 @@ class SlipSettings:
     load_n: float = LOAD.nominal
     load_first_step: int = 8
     load_last_step: int = 16
-    crush_ratio: float = 1.8
+    crush_ratio: float = 1.5
     step_penalty: float = 0.1
     final_reward: float = 10.0
     failure_penalty: float = 10.0
@@ -256,8 +256,10 @@ class SlipScene:
 
     @property
     def mean_grip_force_n(self) -> float:
-        """Mean grip force at the ends of the env steps in which the load grows [N]; 0 before."""
-        return sum(self._forces_n) / max(1, len(self._forces_n))
+        """Mean grip force at the ends of the env steps in which the load grows [N]; one not reached has the largest."""
+        count = 1 + self._settings.load_last_step - self._settings.load_first_step
+        missing = count - len(self._forces_n)
+        return (sum(self._forces_n) + missing * self.largest_grip_n) / count
 
     def heights_mm(self) -> FloatArray:
         """Return the heights of the part's lower corners above the table [mm], shape [n]."""

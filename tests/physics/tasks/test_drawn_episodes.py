@@ -11,6 +11,7 @@ from vitac.evaluator.tracks import Task, find_task
 TASKS = [
     *("peg-insertion-robust", "lock-opening-robust", "fusion-robust"),
     *("explore-robust", "moving-hole-robust", "slip-robust"),
+    *("in-hand-turn-robust", "soft-plug-robust", "assembly-robust"),
 ]
 
 

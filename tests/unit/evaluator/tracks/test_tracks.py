@@ -458,6 +458,9 @@ ROBUST = {
     "moving-hole-robust": ("clearance_mm", 0.8, 2.0),
     "explore-robust": ("gel_friction", 0.7, 1.5),
     "slip-robust": ("gel_friction", 0.4, 1.2),
+    "in-hand-turn-robust": ("gel_friction", 0.2, 0.45),
+    "soft-plug-robust": ("interference_mm", 0.05, 0.15),
+    "assembly-robust": ("gel_friction", 0.6, 1.2),
 }
 NEW = {
     "peg-insertion-robust": ("peg_bulge", "peg_slant_mm"),
@@ -465,6 +468,9 @@ NEW = {
     "moving-hole-robust": ("plate_speed_mm_s", "peg_taper"),
     "explore-robust": (),
     "slip-robust": ("part_mass_kg", "load_n"),
+    "in-hand-turn-robust": ("held_mm",),
+    "soft-plug-robust": ("plug_modulus_mpa",),
+    "assembly-robust": (),
     "fusion-robust": ("picture_delay", "camera_x_mm", "camera_z_mm", "camera_turn_deg"),
 }
 """What else makes them hard: outlines of pegs, what is seen of them, motion and loads."""

@@ -87,7 +87,16 @@ def test_a_track_that_no_example_has_played_has_none() -> None:
     assert list_examples(load_track("track_1_peg_robust"), None) == []
 
 
-@pytest.mark.parametrize(("track", "measure"), [("explore", "brier_score")])
+@pytest.mark.parametrize(
+    ("track", "measure"),
+    [
+        ("assembly", "stages"),
+        ("explore", "brier_score"),
+        ("in_hand_turn", "angle_error_deg"),
+        ("slip", "grip_force_n"),
+        ("soft_plug", "largest_bend_mm"),
+    ],
+)
 def test_figures_of_the_new_tasks_are_those_of_their_examples(repository: Path, track: str, measure: str) -> None:
     [shown] = list_examples(load_track(track), None)
     text = (repository / "examples" / shown.name / "README.md").read_text()
