@@ -24,7 +24,7 @@ FloatArray = NDArray[np.float64]
 PART_QUANTITIES = MASS, CENTRE_OF_MASS, LOAD = (
     Quantity(name="part_mass_kg", unit="kg", meaning="Mass of the part", range=(0.05, 1.0), nominal=0.25),
     symmetric(name="centre_of_mass_mm", unit="mm", meaning="Centre of mass beside the middle of the part", largest=2.5),
-    Quantity(name="load_n", unit="N", meaning="Load on the part in the end", range=(0.0, 40.0), nominal=8.0),
+    Quantity(name="load_n", unit="N", meaning="Load on the part in the end", range=(0.0, 40.0), nominal=12.0),
 )
 
 
