@@ -68,8 +68,8 @@ def verify(
     if Path(receipt).is_file() or Path(receipt).suffix == ".json":
         receipts, witnesses = read_receipts(Path(receipt)), witness or []
     else:
-        verified, shown_key, named = _read_from_service(receipt, server, token_file)
-        receipts, key, witnesses = [verified], key or shown_key, witness or named
+        fetched, shown_key, named = _read_from_service(receipt, server, token_file)
+        receipts, key, witnesses = [fetched], key or shown_key, witness or named
     for each in receipts:
         each.require_valid(key)
     witnessed = [each.find_witnesses(map(VerifierKey.parse, witnesses)) for each in receipts]

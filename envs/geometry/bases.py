@@ -13,7 +13,7 @@ from vitac.errors import VitacError
 
 from ..fem.model.mesh import SurfaceMesh
 from .pegs import PEG_HEIGHT_MM
-from .solid import Face, Polygon, as_polygon, nearest_vertices, prism_faces, rectangle, solid_from_faces
+from .solid import Face, Polygon, as_polygon, at_height, nearest_vertices, prism_faces, rectangle, solid_from_faces
 
 PEG_APOTHEM_MM = 15.0
 # The challenge's hexagon peg reaches to x = +17 exactly, so its axis lies 0.3205 mm off its origin.
@@ -122,12 +122,12 @@ def _plate_faces() -> list[Face]:
     """Return the bottom, the two ends, and the top around the blocks."""
     (west, east), (south, north) = _PLATE_X_MM, _PLATE_Y_MM
     outline = rectangle(west, east, south, north)
-    low, high = _move_to_height(outline, PLATE_BOTTOM_MM), _move_to_height(outline, 0.0)
+    low, high = at_height(outline, PLATE_BOTTOM_MM), at_height(outline, 0.0)
     return [
         Face(outline_mm=low[::-1]),
         Face(outline_mm=np.array([low[1], low[2], high[2], high[1]])),
         Face(outline_mm=np.array([low[3], low[0], high[0], high[3]])),
-        Face(outline_mm=_move_to_height(_plate_top_mm(), 0.0)),
+        Face(outline_mm=at_height(_plate_top_mm(), 0.0)),
         _plate_north_face(),
     ]
 
@@ -168,9 +168,9 @@ def _rectangular_row_faces(hole: Polygon) -> list[Face]:
     skyline = [(x, 0.0), (x, RIM_MM), (-x, RIM_MM), (-x, GARAGE_TOP_MM), (end, GARAGE_TOP_MM), (end, 0.0)]
     southern = [(west, PLATE_BOTTOM_MM), (east, PLATE_BOTTOM_MM), (east, 0.0), *skyline, (west, 0.0)]
     top = rectangle(-x, x, -y, y)
-    low, high = _move_to_height(top, 0.0), _move_to_height(top, RIM_MM)
+    low, high = at_height(top, 0.0), at_height(top, RIM_MM)
     garage = rectangle(end, -x, -y, y)
-    step = _move_to_height(top, GARAGE_TOP_MM)
+    step = at_height(top, GARAGE_TOP_MM)
     return [
         Face(outline_mm=_across_y(southern, south)),
         Face(outline_mm=_across_y(skyline[::-1], y)),
@@ -195,7 +195,7 @@ def _hexagonal_block_faces(hole: Polygon) -> list[Face]:
     walls = [_wall(_HEXAGON_BLOCK, i, 0.0, RIM_MM) for i in range(6)]
     walls[0] = np.insert(walls[0], 1, east_edge, axis=0)
     walls[2] = np.insert(walls[2], 1, west_edge, axis=0)
-    corners = _move_to_height(_HEXAGON_BLOCK, 0.0)
+    corners = at_height(_HEXAGON_BLOCK, 0.0)
     underside = np.array([east_edge, west_edge, corners[2], corners[1]])
     return [
         *(Face(outline_mm=wall) for wall in walls),
@@ -213,28 +213,24 @@ def _hexagonal_garage_faces() -> list[Face]:
 
 def _blind_hole_faces(top: Polygon, hole: Polygon) -> list[Face]:
     """Return the rim around a hole, the hole's walls and its floor."""
-    rim = Face(outline_mm=_move_to_height(top, RIM_MM), holes_mm=(_move_to_height(hole, RIM_MM),))
+    rim = Face(outline_mm=at_height(top, RIM_MM), holes_mm=(at_height(hole, RIM_MM),))
     inward = hole[::-1]
     walls = [Face(outline_mm=_wall(inward, i, HOLE_FLOOR_MM, RIM_MM)) for i in range(len(hole))]
-    return [rim, *walls, Face(outline_mm=_move_to_height(hole, HOLE_FLOOR_MM))]
+    return [rim, *walls, Face(outline_mm=at_height(hole, HOLE_FLOOR_MM))]
 
 
 def _pocket_faces(floor: Polygon, top: Polygon) -> list[Face]:
     """Return the floor and tapered walls of a garage's pocket."""
-    low, high = _move_to_height(floor, 0.0), _move_to_height(top, GARAGE_TOP_MM)
+    low, high = at_height(floor, 0.0), at_height(top, GARAGE_TOP_MM)
     walls = [Face(outline_mm=np.array([low[i], low[i - 1], high[i - 1], high[i]])) for i in range(len(floor))]
     return [Face(outline_mm=low), *walls]
 
 
 def _wall(polygon: Polygon, i: int, low_mm: float, high_mm: float) -> Corners:
     """Return the upright rectangle over the edge from corner i to the next, seen from outside, shape [4, 3]."""
-    low, high = _move_to_height(polygon, low_mm), _move_to_height(polygon, high_mm)
+    low, high = at_height(polygon, low_mm), at_height(polygon, high_mm)
     following = (i + 1) % len(polygon)
     return np.array([low[i], low[following], high[following], high[i]])
-
-
-def _move_to_height(polygon: Polygon, z_mm: float) -> Corners:
-    return np.column_stack([polygon, np.full(len(polygon), z_mm)])
 
 
 def _across_y(outline: list[tuple[float, float]], y_mm: float) -> Corners:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..deterministic_math import sine_cosine
 from ..fem.model.mesh import SurfaceMesh
-from .solid import Face, Polygon, as_polygon, mitred_offset, prism_faces, rectangle, solid_from_faces
+from .solid import Face, Polygon, as_polygon, at_height, mitred_offset, prism_faces, rectangle, solid_from_faces
 
 SHAFT_APOTHEM_MM = 4.5
 LUG_REACH_MM = 9.5
@@ -69,10 +69,12 @@ def bayonet_part(head_width_mm: float) -> SurfaceMesh:
     head = rectangle(-half_mm, half_mm, -0.5 * HEAD_GRIPPED_MM, 0.5 * HEAD_GRIPPED_MM)
     octagon, foot = _octagon_mm(), footprint_mm()
     lower, _, *lug_walls = prism_faces(foot, 0.0, LUG_HEIGHT_MM)
-    upper_lugs = [Face(outline_mm=_at(foot[corners], LUG_HEIGHT_MM)) for corners in ([2, 3, 4, 5], [8, 9, 10, 11])]
+    upper_lugs = [
+        Face(outline_mm=at_height(foot[corners], LUG_HEIGHT_MM)) for corners in ([2, 3, 4, 5], [8, 9, 10, 11])
+    ]
     shaft_walls = prism_faces(octagon, LUG_HEIGHT_MM, HEAD_LOW_MM)[2:]
     below, above, *head_walls = prism_faces(head, HEAD_LOW_MM, HEAD_HIGH_MM)
-    shoulder = Face(outline_mm=below.outline_mm, holes_mm=(_at(octagon, HEAD_LOW_MM),))
+    shoulder = Face(outline_mm=below.outline_mm, holes_mm=(at_height(octagon, HEAD_LOW_MM),))
     faces = [lower, *lug_walls, *upper_lugs, *shaft_walls, shoulder, *head_walls, above]
     return solid_from_faces(faces, f"part with a head of {head_width_mm:g} mm")
 
@@ -84,15 +86,15 @@ def tray_and_socket() -> SurfaceMesh:
     tray = rectangle(-TRAY_HALF_MM[0], TRAY_HALF_MM[0], -TRAY_HALF_MM[1], TRAY_HALF_MM[1])
     opening, room = socket + opening_mm(), socket + _room_mm()
     bottom, _, *walls = prism_faces(_PLATE_MM, -_PLATE_THICKNESS_MM, 0.0)
-    top = Face(outline_mm=_at(_PLATE_MM, 0.0), holes_mm=(_at(tray, 0.0), _at(opening, 0.0)))
-    below_lip = Face(outline_mm=_at(room[::-1], -LIP_MM), holes_mm=(_at(opening, -LIP_MM),))
+    top = Face(outline_mm=at_height(_PLATE_MM, 0.0), holes_mm=(at_height(tray, 0.0), at_height(opening, 0.0)))
+    below_lip = Face(outline_mm=at_height(room[::-1], -LIP_MM), holes_mm=(at_height(opening, -LIP_MM),))
     inside = [
         *_inner_walls(tray, -TRAY_DEPTH_MM, 0.0),
-        Face(outline_mm=_at(tray, -TRAY_DEPTH_MM)),
+        Face(outline_mm=at_height(tray, -TRAY_DEPTH_MM)),
         *_inner_walls(opening, -LIP_MM, 0.0),
         below_lip,
         *_inner_walls(room, -SOCKET_DEPTH_MM, -LIP_MM),
-        Face(outline_mm=_at(room, -SOCKET_DEPTH_MM)),
+        Face(outline_mm=at_height(room, -SOCKET_DEPTH_MM)),
     ]
     return solid_from_faces([bottom, *walls, top, *inside], "tray and socket")
 
@@ -128,7 +130,3 @@ def _arc(first: NDArray[np.float64], last: NDArray[np.float64], parts: int) -> l
     radius = sqrt(float(first[0] * first[0] + first[1] * first[1]))
     between = [first + (part / parts) * (last - first) for part in range(1, parts)]
     return [radius / sqrt(float(point[0] * point[0] + point[1] * point[1])) * point for point in between]
-
-
-def _at(polygon: Polygon, z_mm: float) -> NDArray[np.float64]:
-    return np.column_stack([polygon, np.full(len(polygon), z_mm)])

@@ -255,8 +255,7 @@ def prism_faces(
         return corners
 
     def walls(polygon: Polygon) -> list[Face]:
-        low, high = placed(polygon, low_mm), placed(polygon, high_mm)
-        return [Face(outline_mm=np.array([low[i - 1], low[i], high[i], high[i - 1]])) for i in range(len(polygon))]
+        return walls_between(placed(polygon, low_mm), placed(polygon, high_mm))
 
     bottom = Face(
         outline_mm=placed(profile_mm[::-1], low_mm), holes_mm=tuple(placed(hole, low_mm) for hole in holes_mm)
@@ -264,6 +263,18 @@ def prism_faces(
     top = Face(outline_mm=placed(profile_mm, high_mm), holes_mm=tuple(placed(hole, high_mm) for hole in holes_mm))
     hole_walls = [wall for hole in holes_mm for wall in walls(hole[::-1])]
     return [bottom, top, *walls(profile_mm), *hole_walls]
+
+
+def walls_between(low_mm: NDArray[np.float64], high_mm: NDArray[np.float64]) -> list[Face]:
+    """Return a face for each pair of corners of two outlines in space, counter-clockwise [mm], shapes [n, 3]."""
+    return [
+        Face(outline_mm=np.array([low_mm[i - 1], low_mm[i], high_mm[i], high_mm[i - 1]])) for i in range(len(low_mm))
+    ]
+
+
+def at_height(polygon: Polygon, z_mm: float) -> NDArray[np.float64]:
+    """Return the corners of a polygon at a height [mm], shape [n, 3]."""
+    return np.column_stack([polygon, np.full(len(polygon), z_mm)])
 
 
 def rectangle(x_low: float, x_high: float, y_low: float, y_high: float) -> Polygon:

@@ -221,11 +221,11 @@ def _base_width(surface: DrawnSurface, limits: SensorLimits) -> Finding:
 
 def _base_side(rule: Rule, surface: DrawnSurface, limits: SensorLimits, *, axis: int) -> Finding:
     expected = (limits.base_length_mm, limits.base_width_mm)[axis]
-    side_m = float(_base_extent(surface, limits)[axis])
+    side_mm = float(_base_extent(surface, limits)[axis])
     return Finding(
         rule=rule,
-        ok=_within(side_m, expected, limits.base_tolerance_mm),
-        value=f"{side_m:.3f} mm",
+        ok=_within(side_mm, expected, limits.base_tolerance_mm),
+        value=f"{side_mm:.3f} mm",
         limit=f"{expected} mm ± {limits.base_tolerance_mm}",
         problem=(
             f"The case takes a base of {limits.base_length_mm} mm along x and {limits.base_width_mm} mm along y, with "

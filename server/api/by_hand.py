@@ -95,8 +95,8 @@ async def receive_brief(
 
     def store() -> BriefView:
         with services.database.transaction() as session:
-            of_stage = Competition.find(session, competition).stage(track, stage)
-            return briefs.brief_view(briefs.hand_in(session, by, of_stage, bytes(content)))
+            its_stage = Competition.find(session, competition).stage(track, stage)
+            return briefs.brief_view(briefs.hand_in(session, by, its_stage, bytes(content)))
 
     return await asyncio.to_thread(store)
 
@@ -132,9 +132,9 @@ def put_decision(
 ) -> BriefView:
     """Decide whether a brief's team advances, once the stage has closed (judges and organizers)."""
     with services.database.transaction() as session:
-        of_stage = Competition.find(session, competition).stage(track, stage)
+        its_stage = Competition.find(session, competition).stage(track, stage)
         return briefs.brief_view(
-            briefs.decide(session, principal, of_stage, team_id, decision.reason, accepted=decision.accepted)
+            briefs.decide(session, principal, its_stage, team_id, decision.reason, accepted=decision.accepted)
         )
 
 
@@ -149,9 +149,9 @@ def put_result(
 ) -> EnteredBoardView:
     """Enter the points of an attempt, in place of what was entered of it before; return the board."""
     with services.database.transaction() as session:
-        of_stage = Competition.find(session, competition).stage(track, stage)
-        entered_results.enter(session, principal, of_stage, **new.model_dump())
-        return entered_results.board(session, of_stage, principal)
+        its_stage = Competition.find(session, competition).stage(track, stage)
+        entered_results.enter(session, principal, its_stage, **new.model_dump())
+        return entered_results.board(session, its_stage, principal)
 
 
 @router.get(f"{STAGE}/results", tags=["results"])
@@ -160,8 +160,8 @@ def get_results(
 ) -> EnteredBoardView:
     """Return the board of a stage whose results are entered: the best attempt of each team, the largest sum first."""
     with services.database.reading() as session:
-        of_stage = Competition.find(session, competition).stage(track, stage)
-        return entered_results.board(session, of_stage, principal)
+        its_stage = Competition.find(session, competition).stage(track, stage)
+        return entered_results.board(session, its_stage, principal)
 
 
 @router.put(HUMAN_BASELINE, tags=["baselines"])

@@ -179,11 +179,11 @@ def confirm_advancement(
 ) -> AdvancementView:
     """Let the proposed teams, more of them or fewer, take part in a stage."""
     with services.database.transaction() as session:
-        of_stage = Competition.find(session, competition, track=track).stage(track, stage)
+        its_stage = Competition.find(session, competition, track=track).stage(track, stage)
         is_looked_at = services.database.is_trial or decision.shown is not None
         base = decision.revision if is_looked_at else decision.revision or ""
-        advancement.confirm(session, principal, of_stage, add=decision.add, without=decision.without, base=base)
-        view = advancement.propose(session, principal, of_stage)
+        advancement.confirm(session, principal, its_stage, add=decision.add, without=decision.without, base=base)
+        view = advancement.propose(session, principal, its_stage)
         require_shown("the teams", decision.shown, view.revision)
         return view
 
@@ -251,8 +251,8 @@ def get_definition(
 ) -> Definition:
     """Return what a competition's file says, and its revision."""
     with services.database.transaction() as session:
-        row = Competition.find(session, competition)
-        return Definition(definition=row.definition, revision=row.revision)
+        named = Competition.find(session, competition)
+        return Definition(definition=named.definition, revision=named.revision)
 
 
 @router.put("/competitions/{competition}/definition")
@@ -315,8 +315,8 @@ def get_stage_submissions(
 ) -> StreamingResponse:
     """Return all submissions of a stage in a zip, by team."""
     with services.database.reading() as session:
-        of_stage = Competition.find(session, competition, track=track).stage(track, stage)
-        files = stage_files.list_files(session, principal, of_stage)
+        its_stage = Competition.find(session, competition, track=track).stage(track, stage)
+        files = stage_files.list_files(session, principal, its_stage)
     return StreamingResponse(
         stage_files.stream_zip(services.blobs, files),
         media_type="application/zip",

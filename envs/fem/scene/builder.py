@@ -90,7 +90,7 @@ def build_model(
 
 @lru_cache(maxsize=_LAYOUTS_KEPT)
 def lay_out_gels(meshes: tuple[GelMesh, ...], frame_points: int) -> GelLayout:
-    """Return the layout of gels that touch no other, numbered in order, and of so many frame points; made once."""
+    """Return the layout of gels that touch no other, in order, and of this number of frame points; made once."""
     return _lay_out(meshes, join_eliminations(meshes, NO_COUPLINGS, np.empty((0, 3))), frame_points)
 
 

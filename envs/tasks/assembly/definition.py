@@ -20,7 +20,7 @@ from ..definition import OPTIONAL_SENSORS, SURFACE_DIFF, ActionComponent, Better
 from ..quantities import TOUCH_QUANTITIES
 
 
-class Stage(IntEnum):
+class AssemblyStage(IntEnum):
     """What has been done of an assembly; each asks for those before it."""
 
     NOTHING = 0
@@ -76,7 +76,7 @@ STAGES = Measure(
     needs=("stage",),
     read=lambda info: (float(info["stage"]),),
     better=Better.HIGH,
-    of_no_env_step=float(Stage.NOTHING),
+    of_no_env_step=float(AssemblyStage.NOTHING),
 )
 """Which of fetched, aligned, inserted and locked were reached, 0 to 4."""
 
@@ -116,7 +116,7 @@ TASK = TaskDefinition(
 def _position(info: InfoView) -> str:
     x_mm, y_mm, z_mm, turn_deg = info["offset_mm_deg"]
     place = f"{signed(x_mm)}, {signed(y_mm)}, {signed(z_mm)} mm, {signed(turn_deg)}° from the socket"
-    return f"stage {int(info['stage'])} of {int(Stage.LOCKED)}, {place}, grip {info['grip_force_n']:z.1f} N"
+    return f"stage {int(info['stage'])} of {int(AssemblyStage.LOCKED)}, {place}, grip {info['grip_force_n']:z.1f} N"
 
 
 _MIDDLE = Plane(normal=(0.0, -1.0, 0.0), offset_m=0.0)
@@ -138,7 +138,7 @@ PERSPECTIVE = Perspective(
     progress=ProgressPlot(
         title="stages reached",
         heights_mm=lambda info: np.array([float(info["stage"])]),
-        goal_mm=float(Stage.INSERTED),
+        goal_mm=float(AssemblyStage.INSERTED),
         goal_is_below=False,
     ),
     position=_position,

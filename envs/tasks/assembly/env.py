@@ -13,7 +13,7 @@ from ...scene.perspective import ActionArray, FloatArray
 from ..definition import Flags, surface_moved_too_far
 from ..settings import choice, drawn_shape, numbers, refusal
 from ..task_env import Info, Observation, TactileTaskEnv
-from .definition import TASK, Stage
+from .definition import TASK, AssemblyStage
 from .scene import (
     FETCHED_ABOVE_MM,
     INSERTED_BELOW_MM,
@@ -57,7 +57,7 @@ class AssemblyEnv(TactileTaskEnv[AssemblyScene, AssemblySettings]):
 
     Ends: terminated by success, the fourth stage (`end_reason` "success"); truncated by a sensing surface that moved
     more than 1.5 mm ("tactile"); by a gripper that left its range of -12 to 38 mm along x, 8 mm either way along y, -8
-    to 20 mm upwards and -40 to 90 degrees from the start, or a part that fell over, tilted by more than 15 degrees, or
+    to 16 mm upwards and -40 to 90 degrees from the start, or a part that fell over, tilted by more than 15 degrees, or
     fell off ("error"); by 40 env steps ("steps"), or physics that did not converge ("not_converged", after which
     nothing moves).
 
@@ -87,7 +87,7 @@ class AssemblyEnv(TactileTaskEnv[AssemblyScene, AssemblySettings]):
             (TURN_DEG - theta) / TURN_DEG,
             0.0,
         )
-        return max(0, Stage.LOCKED - stage - 1) + min(1.0, max(0.0, left[stage]))
+        return max(0, AssemblyStage.LOCKED - stage - 1) + min(1.0, max(0.0, left[stage]))
 
     def _judge(self) -> Flags:
         scene = self.task_scene
@@ -99,7 +99,7 @@ class AssemblyEnv(TactileTaskEnv[AssemblyScene, AssemblySettings]):
             tactile_movement_too_large=tactile,
             error_too_large=error,
             too_many_steps=scene.env_steps >= self.settings.max_steps,
-            is_success=scene.stage is Stage.LOCKED and not (tactile or error),
+            is_success=scene.stage is AssemblyStage.LOCKED and not (tactile or error),
         )
 
     def _left_range(self, motion: FloatArray) -> bool:
@@ -179,7 +179,7 @@ def fetch_insert_and_turn(_: Observation, info: Info) -> ActionArray:
     x_mm, y_mm, z_mm, theta_deg = info["offset_mm_deg"].tolist()
     gone = info["relative_motion_mm_deg"].tolist()
     arm_mm = (gone[0] - x_mm - SOCKET_X_MM, gone[1] - y_mm)
-    if info["stage"] == Stage.NOTHING and info["grip_force_n"] < 0.6 * _GRIP_N:
+    if info["stage"] == AssemblyStage.NOTHING and info["grip_force_n"] < 0.6 * _GRIP_N:
         aside = [-arm_mm[0], -arm_mm[1], 0.0, theta_deg - gone[3]]
         to_near_mm = info["gripper_width_mm"] - _NEAR_MM
         closing_mm = to_near_mm if to_near_mm > 1e-3 else (_GRIP_N - info["grip_force_n"]) / _STIFFNESS_N_MM

@@ -30,7 +30,7 @@ from ...scene.perspective import FloatArray
 from ...tactile.gel import highest_mm
 from ...tactile.markers import MarkerSettings
 from ..settings import arena_physics, require
-from .definition import TASK, Stage
+from .definition import TASK, AssemblyStage
 
 GRAVITY_M_S2 = 9.81
 START_WIDTH_MM = 36.0
@@ -145,7 +145,7 @@ class AssemblyScene:
     """
 
     def __init__(self, *, start: AssemblyStart, meshes: Meshes, settings: AssemblySettings, clocks: Clocks) -> None:
-        self.shape, self.env_steps, self.stage = start.shape, 0, Stage.NOTHING
+        self.shape, self.env_steps, self.stage = start.shape, 0, AssemblyStage.NOTHING
         self._settings = settings
         part, foot = part_mesh(start.shape), footprint_mm()
         corners_m = np.column_stack([foot, np.zeros(len(foot))]) * 1e-3
@@ -214,7 +214,7 @@ class AssemblyScene:
     def _corners_mm(self) -> FloatArray:
         return 1e3 * self.grasped.held_vertices_m(self.measured_vertices)
 
-    def _present_stage(self) -> Stage:
+    def _present_stage(self) -> AssemblyStage:
         """Return the furthest stage of which what it asks for holds now."""
         corners_mm = self._corners_mm()
         highest_mm, lowest_mm = float(corners_mm[:, 2].max()), float(corners_mm[:, 2].min())
@@ -222,7 +222,7 @@ class AssemblyScene:
         opening = np.array([SOCKET_X_MM, 0.0]) + opening_mm()
         # What fell off the plate is low, too.
         if highest_mm < INSERTED_BELOW_MM and max(abs(x_mm), abs(y_mm)) < SHAFT_APOTHEM_MM:
-            return Stage.LOCKED if turn_deg >= LOCKED_DEG else Stage.INSERTED
+            return AssemblyStage.LOCKED if turn_deg >= LOCKED_DEG else AssemblyStage.INSERTED
         if highest_mm < ALIGNED_BELOW_MM and all(contains(opening, corner) for corner in corners_mm[:, :2]):
-            return Stage.ALIGNED
-        return Stage.FETCHED if lowest_mm > FETCHED_ABOVE_MM else Stage.NOTHING
+            return AssemblyStage.ALIGNED
+        return AssemblyStage.FETCHED if lowest_mm > FETCHED_ABOVE_MM else AssemblyStage.NOTHING

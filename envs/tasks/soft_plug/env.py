@@ -126,7 +126,7 @@ def accepts_start(_: str, offset_mm: Sequence[float]) -> bool:
 _NEAR_MM = 0.3
 
 
-def over_the_hole_then_in(_: Observation, info: Info) -> ActionArray:
+def move_over_then_push(_: Observation, info: Info) -> ActionArray:
     """Go over the hole above the plate, then push."""
     aside_mm = -info["gt_offset_mm"]
     far = float(np.abs(aside_mm).max()) > 0.2

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ...assets import Meshes
 from ...fem.model.mesh import PART_MATERIAL, GelBody, GelMesh, SurfaceMesh
-from ...geometry.solid import Face, rectangle, solid_from_faces
+from ...geometry.solid import Face, at_height, rectangle, solid_from_faces, walls_between
 from ...scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings, fixed_at_origin
 from ...scene.gripper import UPRIGHT_MOUNTS, Gripper, GripperPose
 from ...tactile.gel import GelCells, GelDimensions, highest_mm, structured_gel
@@ -130,26 +130,18 @@ def plate_mesh(shape: PlugShape, interference_mm: float) -> SurfaceMesh:
     half_mm = 0.5 * WIDTH_MM[shape] - interference_mm
     wide_mm = 0.5 * WIDTH_MM[shape] + MOUTH_MM
     loops = [
-        _at(rectangle(-half, half, -half, half), z_mm)
+        at_height(rectangle(-half, half, -half, half), z_mm)
         for half, z_mm in ((wide_mm, 0.0), (half_mm, -MOUTH_DEPTH_MM), (half_mm, -PLATE_THICKNESS_MM))
     ]
-    top, bottom = _at(PLATE_MM, 0.0), _at(PLATE_MM, -PLATE_THICKNESS_MM)
+    top, bottom = at_height(PLATE_MM, 0.0), at_height(PLATE_MM, -PLATE_THICKNESS_MM)
     faces = [
         Face(outline_mm=top, holes_mm=(loops[0],)),
         Face(outline_mm=bottom[::-1], holes_mm=(loops[2],)),
-        *_walls(bottom, top),
-        *_walls(loops[1][::-1], loops[0][::-1]),
-        *_walls(loops[2][::-1], loops[1][::-1]),
+        *walls_between(bottom, top),
+        *walls_between(loops[1][::-1], loops[0][::-1]),
+        *walls_between(loops[2][::-1], loops[1][::-1]),
     ]
     return solid_from_faces(faces, "plate")
-
-
-def _at(outline_mm: FloatArray, z_mm: float) -> FloatArray:
-    return np.column_stack([outline_mm, np.full(len(outline_mm), z_mm)])
-
-
-def _walls(low: FloatArray, high: FloatArray) -> list[Face]:
-    return [Face(outline_mm=np.array([low[i - 1], low[i], high[i], high[i - 1]])) for i in range(len(low))]
 
 
 class SoftPlugScene:

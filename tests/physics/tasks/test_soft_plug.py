@@ -9,7 +9,7 @@ from intersection_check import GraspedSceneCheck
 from vitac.envs.fem.scene.scene import StepStatus
 from vitac.envs.scene.gripper import SENSOR_COUNT
 from vitac.envs.tasks.settings import arena_physics
-from vitac.envs.tasks.soft_plug.env import SoftPlugEnv, over_the_hole_then_in
+from vitac.envs.tasks.soft_plug.env import SoftPlugEnv, move_over_then_push
 from vitac.envs.tasks.soft_plug.scene import CELLS
 
 HELD, FIXED = SENSOR_COUNT, SENSOR_COUNT + 1
@@ -66,7 +66,7 @@ def test_with_the_truth_the_plug_goes_in_unbent_and_nothing_penetrates(shape: st
     observation, info = env.reset(options=BESIDE | {"shape": shape})
     check = GraspedSceneCheck(env.scene)
     while info["end_reason"] is None:
-        observation, *_, info = env.step(over_the_hole_then_in(observation, info))
+        observation, *_, info = env.step(move_over_then_push(observation, info))
         assert not check.intersects(env.scene)
         assert all(report.status is not StepStatus.NOT_CONVERGED for report in info["step_reports"])
     assert info["end_reason"] == "success"

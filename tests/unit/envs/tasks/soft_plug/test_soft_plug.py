@@ -10,7 +10,7 @@ from unpacked_files import unpack
 from vitac.envs.drawing.playback import record
 from vitac.envs.playback_files.scene import pack_scene
 from vitac.envs.tasks.settings import ResetOptionsError, SettingsError
-from vitac.envs.tasks.soft_plug.env import SoftPlugEnv, over_the_hole_then_in
+from vitac.envs.tasks.soft_plug.env import SoftPlugEnv, move_over_then_push
 from vitac.envs.tasks.soft_plug.scene import WIDTH_MM, PlugShape, SoftPlugScene, plate_mesh, plug_mesh
 
 START = {"shape": "slim", "offset_mm": (2.0, -1.0), "rng_seed": (0, 1)}
@@ -109,7 +109,7 @@ def test_expert_goes_over_the_hole_before_it_pushes() -> None:
     while info["end_reason"] is None:
         if np.abs(info["gt_offset_mm"]).max() > 0.2:
             heights_mm.append(info["heights_mm"].min())
-        observation, *_, info = env.step(over_the_hole_then_in(observation, info))
+        observation, *_, info = env.step(move_over_then_push(observation, info))
     assert info["end_reason"] == "success"
     assert min(heights_mm) > 0.0
 

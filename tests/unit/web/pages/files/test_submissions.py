@@ -66,6 +66,8 @@ def test_the_history_is_a_file_and_linked_where_it_is_shown(site: SeededSite) ->
     as_csv, as_json = both_forms(browser, path, "history")
     assert sorted(row["submission"] for row in as_csv) == ["'=new", "done"]
     assert sorted(row["submission"] for row in as_json) == ["=new", "done"], "nothing runs a formula in JSON"
+    assert {row["ranked_by"] for row in as_json} == {"success_rate"}
+    assert all(row["value"] == row["success_rate"] for row in as_json)
     html = browser.get(path).text
     for table in TABLES:
         for form in ("csv", "json"):

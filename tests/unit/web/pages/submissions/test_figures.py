@@ -1,8 +1,16 @@
 import re
+from datetime import UTC, datetime
+from types import SimpleNamespace
+from typing import Any
+from uuid import uuid4
 
 import pytest
 from seeded_site import DONE, GELBOTS, ORGANIZERS, SeededSite
 from service_factories import LOCK, TASK
+from vitac.envs.tasks.definition import SURFACE_DIFF
+from vitac.evaluator.ranking import make_ranking
+from vitac.server.database.states import EvaluationState
+from vitac.server.views.leaderboards import PastResultView
 from vitac.web.pages.submissions import figures
 
 
@@ -35,6 +43,28 @@ def test_the_history_marks_the_submission_that_is_shown(site: SeededSite) -> Non
     assert html.count('class="point own"') == 1
     assert f'id="history-{TASK}"' in html
     assert f'id="history-{LOCK}"' not in html
+
+
+def test_the_history_shows_what_the_board_of_the_task_compares_first() -> None:
+    ranked_by = make_ranking(["surface_diff_mm", "submitted_at"], [SURFACE_DIFF]).compared_first
+    past = [
+        PastResultView(
+            task=TASK,
+            submission_id=uuid4(),
+            submission_name=f"{value}",
+            submitted_at=datetime(2031, 1, day, tzinfo=UTC),
+            success_rate=0.5,
+            ranked_by=ranked_by,
+            value=value,
+        )
+        for day, value in enumerate((0.75, None, 0.25), start=1)
+    ]
+    evaluation = SimpleNamespace(state=EvaluationState.COMPLETED, id=uuid4(), scores=[])
+    found: Any = SimpleNamespace(id=past[0].submission_id, tasks=[TASK], evaluation=evaluation)
+    site: Any = SimpleNamespace(plots=SimpleNamespace(get=lambda _, make: make()))
+    (history,) = figures.figures(site, found, {TASK: "Peg"}, [], past)["history"]
+    assert len(history.table.rows) == 2, "one has no such value"
+    assert history.summary.endswith("the best is 0.25 with 0.25."), "less motion is better"
 
 
 def test_a_sealed_list_has_no_map_by_the_track_files_starts_and_its_team_no_plots_of_episodes(site: SeededSite) -> None:
