@@ -26,7 +26,8 @@ UNTRUSTED_MAX_NODES: Final = 1_000
 UNTRUSTED_MAX_DEPTH: Final = 8
 _UNTRUSTED_TYPES: Final = frozenset(f"tag:yaml.org,2002:{name}" for name in ("bool", "float", "int", "null"))
 """What an untagged scalar may be besides text. Dates and merge keys are text."""
-_OWN_TYPES: Final = _UNTRUSTED_TYPES | {"tag:yaml.org,2002:merge"}
+_MERGE: Final = "tag:yaml.org,2002:merge"
+_OWN_TYPES: Final = _UNTRUSTED_TYPES | {_MERGE}
 """The same of a document of our own: dates are text, so that messages show them as they were written."""
 _KEY_SHOWN_CHARS: Final = 80
 _OTHER_BASES: Final = re.compile(r"[-+]?(0[0-7_]+|[0-9][0-9_]*(:[0-5]?[0-9])+(\.[0-9_]*)?)")
@@ -61,6 +62,8 @@ class _UniqueKeys(SafeConstructor):
         for key_node, _ in node.value:
             if not isinstance(key_node, ScalarNode):
                 raise _refusal("a key must be text, expected no list or mapping", key_node)
+            if key_node.tag == _MERGE:
+                continue  # `<<: *name` takes the keys of another mapping, which the own ones replace
             key = self.construct_object(key_node, deep=True)
             if key in seen:
                 raise _refusal(f"key {key_node.value[:_KEY_SHOWN_CHARS]!r} is given twice", key_node)

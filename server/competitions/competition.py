@@ -5,7 +5,7 @@ everything that follows its rules.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from typing import Self
@@ -235,14 +235,17 @@ class Competition:
     @cached_property
     def stages(self) -> tuple[Stage, ...]:
         """All stages in the order of the file, each followed by its final list; also of tracks not held here."""
-        stages = []
+        stages: list[Stage] = []
         for track, rules in self.definition.tracks.items():
-            last: Stage | None = None
             for board, of in rules.list_boards():
-                before, live = (last, None) if of is None else (None, last)
-                last = self._make_stage(track, board.name, board, rules, before, live)
-                stages.append(last)
-        return tuple(stages)
+                live = None if of is None else stages[-1]
+                stages.append(self._make_stage(track, board.name, board, rules, live))
+        deciding = {(stage.track, (stage.live or stage).name): stage for stage in stages}
+        before = {
+            (track, stage.name): deciding[other, of.name]
+            for track, stage, other, of in self.definition.list_advancements()
+        }
+        return tuple(replace(stage, before=before.get((stage.track, stage.name))) for stage in stages)
 
     @property
     def stages_held_here(self) -> tuple[Stage, ...]:
@@ -379,7 +382,6 @@ class Competition:
         name: str,
         rules: StageRules,
         track_rules: TrackRules,
-        before: Stage | None = None,
         live: Stage | None = None,
     ) -> Stage:
         return Stage(
@@ -390,7 +392,6 @@ class Competition:
             name=name,
             rules=rules,
             track_rules=track_rules,
-            before=before,
             live=live,
         )
 

@@ -5,7 +5,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.isolation_kinds import IsolationKind
 from vitac.evaluator.strict_model import DocumentRejected, StrictModel, Word, read_yaml
@@ -23,31 +23,42 @@ _ROUNDING = 1e-9
 
 
 class Advancement(StrictModel):
-    """Who may take part in a stage, by the final board of the stage before: exactly one of the rules."""
+    """Who may take part in a stage, by the final board of another one: exactly one of the rules."""
 
     top: Count | None = Field(default=None, description="Number of teams.")
     top_share: Share | None = Field(default=None, gt=0, description="This share of all registered teams.")
     score_at_least: Share | None = Field(default=None, description="Everybody with this success rate.")
     committee: Literal[True] | None = Field(default=None, description="Everybody whose brief the committee accepts.")
+    after: str | None = Field(
+        default=None,
+        pattern=r"^[^/]+/[^/]+$",
+        description="TRACK/STAGE by whose board teams advance; null: the stage before of the same track.",
+    )
 
     @model_validator(mode="after")
     def _is_one_rule(self) -> Self:
         rules = (self.top, self.top_share, self.score_at_least, self.committee)
         if sum(value is not None for value in rules) != 1:
             raise ValueError("give exactly one of top, top_share, score_at_least and committee")
+        if self.committee and self.after:
+            raise ValueError(f"a committee decides by the briefs of the stage before; leave out after: {self.after}")
         return self
 
     @property
     def sentence(self) -> str:
         """The rule in words."""
+        before = "the stage before"
+        if self.after is not None:
+            track, stage = self.after.split("/")
+            before = f"stage {stage} of {track}"
         if self.top is not None:
             teams = "team" if self.top == 1 else f"{self.top} teams"
-            return f"the best {teams} of the stage before"
+            return f"the best {teams} of {before}"
         if self.top_share is not None:
-            return f"the best {100 * self.top_share:g} % of the registered teams, by the stage before"
+            return f"the best {100 * self.top_share:g} % of the registered teams, by {before}"
         if self.committee:
             return "every team whose brief of the stage before the committee accepts"
-        return f"every team with a success rate of {100 * (self.score_at_least or 0):g} % or more in the stage before"
+        return f"every team with a success rate of {100 * (self.score_at_least or 0):g} % or more in {before}"
 
 
 class Sealing(StrEnum):
@@ -308,6 +319,8 @@ class TrackRules(StrictModel):
     )
     prizes: tuple[Prize, ...] = ()
     judging: Judging | None = None
+    _advancing: frozenset[str] = PrivateAttr(default=frozenset())
+    """Names of the stages by whose boards teams advance, to whichever track; the competition knows them."""
 
     @property
     def single_prizes(self) -> tuple[Prize, ...]:
@@ -316,8 +329,7 @@ class TrackRules(StrictModel):
 
     def decides(self, stage: StageRules) -> bool:
         """Return whether prizes or advancement hang on a stage."""
-        after = self.stages[self.stages.index(stage) + 1 :]
-        return after[0].qualified is not None if after else bool(self.prizes)
+        return stage.name in self._advancing or (stage == self.stages[-1] and bool(self.prizes))
 
     def find_sealing(self, stage: StageRules) -> Sealing | None:
         """Return how the sealed list of a stage is played; None where there is none."""
@@ -336,15 +348,6 @@ class TrackRules(StrictModel):
         """Return the stage, or the final list, of that name."""
         return next((rules for rules, _ in self.list_boards() if rules.name == name), None)
 
-    def list_public_rankings(self) -> Iterator[tuple[str, str]]:
-        """Yield where the board of a public list decides something, by its place in the track's part of the file."""
-        last = self.stages[-1]
-        if self.taken_here and self.prizes and last.list is ListKind.PUBLIC:
-            yield "prizes", f"the prizes of {self.title} go by the board of {last.title}"
-        for before, after in zip(self.stages, self.stages[1:], strict=False):
-            if self.taken_here and after.qualified is not None and before.list is ListKind.PUBLIC:
-                yield f"stages.{after.name}.qualified", f"{after.title} of {self.title} is for teams by {before.title}"
-
     @model_validator(mode="after")
     def _what_is_entered_is_played_elsewhere(self) -> Self:
         for before, stage in zip((None, *self.stages), self.stages, strict=False):
@@ -361,8 +364,12 @@ class TrackRules(StrictModel):
     def _stages_follow_each_other(self) -> Self:
         _refuse_twice([stage.name for stage in self.stages], "stage")
         _refuse_twice([prize.place for prize in self.prizes], "prize")
-        if self.stages[0].qualified is not None:
-            raise ValueError(f"stage {self.stages[0].name} is the first one, so nobody can be qualified for it")
+        rule = self.stages[0].qualified
+        if rule is not None and rule.after is None:
+            raise ValueError(
+                f"stage {self.stages[0].name} is the first one, so nobody can be qualified for it; name a stage of "
+                "another track with after: TRACK/STAGE"
+            )
         for before, after in zip(self.stages, self.stages[1:], strict=False):
             if after.opens < before.closes:
                 raise ValueError(f"stage {after.name} opens before stage {before.name} closes")
@@ -412,13 +419,53 @@ class CompetitionDefinition(StrictModel):
                     )
         return self
 
+    @model_validator(mode="after")
+    def _teams_advance_by_earlier_boards(self) -> Self:
+        boards = {
+            f"{name}/{stage.name}": stage
+            for name, track in self.tracks.items()
+            for stage in track.stages
+            if track.taken_here
+        }
+        for name, track in self.tracks.items():
+            for stage in track.stages:
+                after = stage.qualified.after if stage.qualified else None
+                if after is None:
+                    continue
+                if after not in boards:
+                    raise ValueError(
+                        f"stage {stage.name} of {name} is for teams of {after}, expected a stage that is played here, "
+                        f"one of {', '.join(boards) or 'none'}"
+                    )
+                if stage.opens < boards[after].closes:
+                    raise ValueError(f"stage {stage.name} of {name} opens before {after} closes")
+        for _, _, name, before in self.list_advancements():
+            self.tracks[name]._advancing |= {before.name}
+        return self
+
+    def list_advancements(self) -> Iterator[tuple[str, StageRules, str, StageRules]]:
+        """Yield each stage for qualified teams with its track, and by which stage of which track they advance."""
+        for name, track in self.tracks.items():
+            for before, stage in zip((None, *track.stages), track.stages, strict=False):
+                if stage.qualified is not None and stage.qualified.after is not None:
+                    other, named = stage.qualified.after.split("/")
+                    yield name, stage, other, next(one for one in self.tracks[other].stages if one.name == named)
+                elif stage.qualified is not None and before is not None:
+                    yield name, stage, name, before
+
     @property
     def public_rankings(self) -> Mapping[str, str]:
         """What boards of public lists decide, by its place in the file; empty where they are for practice only."""
-        return {
-            f"tracks.{name}.{place}": what
+        of_prizes = {
+            f"tracks.{name}.prizes": f"the prizes of {track.title} go by the board of {track.stages[-1].title}"
             for name, track in self.tracks.items()
-            for place, what in track.list_public_rankings()
+            if track.taken_here and track.prizes and track.stages[-1].list is ListKind.PUBLIC
+        }
+        return of_prizes | {
+            f"tracks.{name}.stages.{stage.name}.qualified": f"{stage.title} of {self.tracks[name].title} is for teams "
+            f"by {before.title}"
+            for name, stage, other, before in self.list_advancements()
+            if self.tracks[other].taken_here and before.list is ListKind.PUBLIC
         }
 
 

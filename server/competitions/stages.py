@@ -60,7 +60,7 @@ class Stage:
         competition_row: to which it belongs; empty and not in the database where there is none.
         rules: what the competition's file says of it.
         track_rules: what the file says of its track.
-        before: the stage of its track before it, or the final list of that; None for the first.
+        before: the stage by whose board its teams advance, or the final list of that; None where it is for all.
         live: of a final list the stage whose chosen submissions it plays; None of a stage itself.
     """
 

@@ -139,7 +139,7 @@ def _log(session: Session, stage: Stage, before: Stage, chosen: Collection[str])
 
 
 def _rule(stage: Stage) -> tuple[Stage, Advancement]:
-    """Return the stage whose board decides, and by which rule; the first stage of a track never has one."""
+    """Return the stage whose board decides, and by which rule."""
     if stage.before is None or stage.rules.qualified is None:
         raise ServiceError(
             ProblemCode.UNKNOWN_STAGE, f"Stage {stage.name} of {stage.track} is for all teams; nobody advances."

@@ -99,6 +99,11 @@ def test_an_untrusted_scalar_is_text_a_number_a_truth_or_nothing(text: str, valu
     assert load(f"value: {text}", UntrustedLoader) == {"value": value}
 
 
+def test_a_mapping_of_our_own_may_take_the_keys_of_another_and_replace_some() -> None:
+    text = "a: &one {x: 1, y: 2}\nb: {<<: *one, y: 3}"
+    assert load(text, UniqueKeyLoader)["b"] == {"x": 1, "y": 3}
+
+
 def test_a_document_of_our_own_may_have_aliases_and_an_untrusted_one_may_not() -> None:
     text = "a: &one [1, 2]\nb: *one"
     assert load(text, UniqueKeyLoader) == {"a": [1, 2], "b": [1, 2]}

@@ -131,6 +131,20 @@ def test_stages_know_their_track_the_one_before_them_and_the_last_one() -> None:
         competition.stage(TRACK, "stage9")
 
 
+def test_a_stage_takes_its_teams_by_the_final_list_of_a_stage_of_another_track() -> None:
+    content = sealed_competition()
+    final = content["tracks"][TRACK]["stages"].pop() | {"qualified": {"top": 1, "after": f"{TRACK}/{FIRST}"}}
+    assert not competition_of(content).stage(TRACK, FIRST).has_final, "nothing hangs on it"
+    content["tracks"] = {"track_2": {"title": "Platform", "stages": [final]}} | content["tracks"]
+    competition = competition_of(content)
+    assert competition.stage(TRACK, FIRST).has_final
+    assert competition.stage("track_2", SECOND).before == competition.stage(TRACK, f"{FIRST}.final")
+    content["tracks"][TRACK]["stages"][0] |= {"list": "public"}
+    assert competition_of(content).definition.public_rankings == {
+        f"tracks.track_2.stages.{SECOND}.qualified": "Final of Platform is for teams by Simulation"
+    }
+
+
 def test_outside_of_a_competition_a_stage_takes_everything_from_everybody_at_any_time(database: Database) -> None:
     with database.transaction() as session:
         team = teams.own(session, make_principal(session))

@@ -12,7 +12,6 @@ from vitac.server.competitions.definition import (
     CompetitionDefinition,
     Judging,
     read_competition,
-    require_known_tracks,
 )
 
 from competitions import CLOSES, FIRST, OPENS, SECOND, make_competition, write_competition
@@ -57,6 +56,16 @@ def set_in(place: Callable[[Content], Content], **values: object) -> Callable[[C
         (set_in(first, accepts=["model", "film"]), "accepts"),
         (set_in(first, accepts=[]), "stages.stage1.accepts is empty, expected some of model"),
         (set_in(first, qualified={"top": 1}), "first one, so nobody can be qualified"),
+        (
+            set_in(second, qualified={"top": 1, "after": "track_2/stage1"}),
+            "is for teams of track_2/stage1, expected a stage that is played here, one of track_1/stage1,",
+        ),
+        (
+            set_in(first, qualified={"top": 1, "after": "track_1/stage2"}),
+            "stage stage1 of track_1 opens before track_1/stage2 closes",
+        ),
+        (set_in(second, qualified={"top": 1, "after": "stage1"}), "String should match pattern"),
+        (set_in(second, qualified={"committee": True, "after": "track_1/stage1"}), "leave out after: track_1/stage1"),
         (set_in(second, opens=OPENS.isoformat()), "opens before stage stage1 closes"),
         (set_in(second, name=FIRST), "two stages 'stage1'"),
         (set_in(second, accepts=["log"]), "a sealed list ranks models, and the stage accepts only log"),
@@ -204,6 +213,7 @@ def test_a_file_that_is_not_there_or_no_text_is_refused(tmp_path: Path) -> None:
         ({"top": 3}, "the best 3 teams of the stage before"),
         ({"top_share": 0.25}, "the best 25 % of the registered teams, by the stage before"),
         ({"score_at_least": 0.5}, "every team with a success rate of 50 % or more in the stage before"),
+        ({"top": 1, "after": "track_1/stage1"}, "the best team of stage stage1 of track_1"),
     ],
 )
 def test_a_rule_is_said_in_words(rule: Content, sentence: str) -> None:
@@ -233,23 +243,30 @@ def test_the_challenge_of_2024_is_over_and_plays_the_tasks_of_2024(repository: P
     assert found.public_rankings == {}
 
 
-def test_the_final_of_2025_is_played_on_stations_by_a_plan(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_final_of_2025_is_played_on_stations_by_a_plan(
+    repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("VITAC_TRACKS_DIR", str(repository / "competitions" / "tracks"))
-    found = read_competition(repository / "competitions" / "vitac-2025-final.yaml")
-    require_known_tracks(found, "vitac-2025-final.yaml")
-    stages = [stage for track in found.tracks.values() for stage in track.stages]
+    file = tmp_path / "cup.yaml"
+    file.write_text(
+        (repository / "competitions" / "vitac-2025.yaml").read_text().replace("    taken_here: false\n", "")
+    )
+    found = read_competition(file)
+    stages = [found.tracks[name].stages[0] for name in ("station", "station_fusion")]
     assert [stage.quotas.attempts for stage in stages] == [3, 3]
+    assert [stage.qualified.after for stage in stages if stage.qualified] == ["track_1/stage1", "track_2/stage1"]
     assert all(stage.plan is not None for stage in stages)
-    tasks = [task for name in found.tracks for task in load_track(name).tasks.values()]
+    tasks = [task for name in ("station", "station_fusion") for task in load_track(name).tasks.values()]
     assert [len(task.episodes) for task in tasks] == [150, 150]
 
 
 def test_the_challenge_of_2025_is_a_valid_competition(repository: Path) -> None:
     found = read_competition(repository / "competitions" / "vitac-2025.yaml")
     pools = {name: sum(prize.amount * prize.winners for prize in track.prizes) for name, track in found.tracks.items()}
-    assert pools == {"track_1": 5500, "track_2": 5500, "track_3": 3500}
+    assert {name: pool for name, pool in pools.items() if pool} == {"track_1": 5500, "track_2": 5500, "track_3": 3500}
     assert [stage.quotas.scored_runs for stage in found.tracks["track_1"].stages] == [None, 3]
     assert len(found.tracks["track_3"].stages) == 1
-    assert all(track.taken_here for track in found.tracks.values())
+    elsewhere = [name for name, track in found.tracks.items() if not track.taken_here]
+    assert elsewhere == ["station", "station_fusion"], "a service without stations takes the rest"
     assert found.public_rankings == {}
     assert [stage.title for stage in found.tracks["track_1"].stages][-1] == "Simulated final"

@@ -125,6 +125,19 @@ def test_a_confirmed_team_may_submit_and_the_decision_is_recorded(database: Data
     assert entry.after["teams"] == entry.after["proposed"] == ["Ants"]
 
 
+def test_teams_advance_to_a_stage_of_another_track(database: Database) -> None:
+    begin(database, {"top": 1})
+    content = open_now(make_competition(), stage=1)
+    final = content["tracks"][TRACK]["stages"].pop() | {"qualified": {"top": 1, "after": f"{TRACK}/{FIRST}"}}
+    content["tracks"]["track_2"] = {"title": "Platform", "stages": [final]}
+    with database.transaction() as session:
+        put_in_place(session, content)
+        stage = stored_stage(session, "track_2", SECOND)
+        assert confirm(session, CONSOLE, stage) == ["Ants"]
+        found = {team.name for team in session.query(Team) if stage.may_submit(team)}
+    assert found == {"Ants"}
+
+
 def test_a_person_in_two_teams_hears_of_both_and_of_a_second_confirmation(database: Database) -> None:
     begin(database, {"top": 2})
     with database.transaction() as session:
