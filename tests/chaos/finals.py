@@ -1,9 +1,10 @@
 """Plays a final of three teams and a control policy on two twins, unattended, while everything is killed in turn.
 
-    .venv/bin/python tests/chaos/finals.py [--starts 10] [--minutes 30]
+    .venv/bin/python tests/chaos/finals.py [--starts 10] [--minutes 30] [--twin A|B] [--without mesh]
 
 Each twin breaks in every scripted way once; agents, worker, server and PostgreSQL are killed with -9 until all trials
 are over. Exit code 0: no trial was lost or doubled, each was played at its place, and its video agrees with its record.
+It also says how long the trials took, by the twins' clocks and by this computer's.
 """
 
 import argparse
@@ -17,7 +18,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from typing import Any
 sys.path += [str(Path(__file__).resolve().parents[1] / "support" / name) for name in ("infrastructure", "service")]
 
 import httpx
+import numpy as np
 import psycopg
 import yaml
 from disturbed_service import VITAC, DisturbedService, send
@@ -32,8 +34,9 @@ from run import leave, wait_until_ready
 from vitac.cli.client.submit import packed
 from vitac.cli.demo.laboratory import TRACK, made_for_station, use_station_track
 from vitac.evaluator.episodes.records import EpisodeRecord
-from vitac.station.twin.hidden import FaultScript, ScriptedFault, TwinFault, draw_hidden
-from vitac.station.twin.laboratory import twin_process
+from vitac.station.description import TwinClass
+from vitac.station.twin.hidden import FaultScript, ScriptedFault, TwinFault, TwinSecret, make_twin
+from vitac.station.twin.laboratory import RunningTwin, twin_process
 from vitac.station.verification import verify_video
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -53,6 +56,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--starts", type=int, default=10, help="how many starts, each played by all once")
     parser.add_argument("--minutes", type=float, default=30.0, help="how long it may take")
+    parser.add_argument("--twin", type=TwinClass, default=TwinClass.A, help="class of both twins")
+    parser.add_argument("--without", nargs="*", default=[], help="differences of class B that are switched off")
     parser.add_argument("--seed", type=int, default=1, help="of the kills and of what the twins hide")
     options = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix="vitac-finals-"))
@@ -78,20 +83,20 @@ def play(service: DisturbedService, options: argparse.Namespace) -> Iterator[str
     for name, token in tokens.items():
         submit(service, name, token)
     with ExitStack() as stack:
-        twins = [
-            stack.enter_context(twin_process(draw_hidden(f"{options.seed} {name}".encode()), script=make_script()))
-            for name in STATIONS
-        ]
+        twins = [stack.enter_context(start_twin(name, options)) for name in STATIONS]
         for name, twin in zip(STATIONS, twins, strict=True):
             file = service.folder / f"{name}.yaml"
             file.write_text(yaml.safe_dump(twin.description))
             file.with_suffix(".key").write_text(admin(service, "station", "add", name)["key"])
         plan = begin_trials(service, closes)
         service.agents |= {f"agent {name}": service.folder / f"{name}.yaml" for name in STATIONS}
-        expected = options.starts * len(TEAMS)
+        expected, clocks_s = options.starts * len(TEAMS), [time.monotonic(), *(twin.time_s() for twin in twins)]
         kills = disturb(service, expected, options)
+        took_s, *by_twins_s = np.subtract([time.monotonic(), *(twin.time_s() for twin in twins)], clocks_s)
         began = {name: set(twin.begun()) for name, twin in zip(STATIONS, twins, strict=True)}
     print(f"{expected} trials, kills: {dict(kills)}", flush=True)
+    for name, by_twin_s in zip(STATIONS, by_twins_s, strict=True):
+        print(f"{name}: {by_twin_s:.0f} s by its clock in {took_s:.0f} s", flush=True)
     yield from (f"{name}: {missing} never began" for name in STATIONS if (missing := set(TwinFault) - began[name]))
     yield from check(service, plan, expected)
 
@@ -150,8 +155,14 @@ def begin_trials(service: DisturbedService, closes: datetime) -> list[dict[str, 
     """Wait until the stage has closed, make the plan, and return it."""
     time.sleep(max((closes - datetime.now(UTC)).total_seconds() + 1.0, 0.0))
     print(admin(service, "competition", "begin-trials", TRACK, "finals", "--yes"), flush=True)
+    print(f"Watch it at {service.address}/competitions/cup/tracks/{TRACK}/stages/finals/trials", flush=True)
     places: list[dict[str, Any]] = admin(service, "competition", "trials", TRACK, "finals")
     return places
+
+
+def start_twin(name: str, options: argparse.Namespace) -> AbstractContextManager[RunningTwin]:
+    twin = make_twin(TwinSecret(secret=f"{options.seed} {name}", twin=options.twin, without=tuple(options.without)))
+    return twin_process(twin.hidden, script=make_script(), mark=twin.mark)
 
 
 def make_script() -> FaultScript:
