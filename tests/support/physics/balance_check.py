@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from engine_probe import Assembled, Probe
 from numpy.typing import NDArray
+from scipy.sparse import csc_array
+from scipy.sparse.linalg import splu
 from vitac.envs.fem.contact.overlap import find_overlap
 from vitac.envs.fem.model.mesh import PointLoad
 from vitac.envs.fem.scene.scene import Scene, StepReport, StepStatus
-
-FloatArray = NDArray[np.float64]
 
 # What two orders of summation may make of the same force [N]; contacts carry a few newtons.
 SAME_FORCE_N = 1e-9
@@ -23,31 +23,44 @@ class Balance:
 
     Attributes:
         largest_force_n: largest force left on an unknown node or frame point [N].
-        jacobian_n_m: exact derivative of these forces [N/m], shape [3 u, 3 u].
+        jacobian_n_m: exact derivative of these forces [N/m], sparse, shape [3 u, 3 u].
         overlaps: bodies intersect.
     """
 
     largest_force_n: float
     overlaps: bool
-    jacobian_n_m: FloatArray
+    jacobian_n_m: csc_array
 
     @property
     def has_negative_determinant(self) -> bool:
-        """Whether an odd number of the Jacobian's real eigenvalues is negative; by LAPACK's LU with row exchanges."""
-        return bool(np.linalg.slogdet(self.jacobian_n_m).sign < 0)
+        """Whether an odd number of the Jacobian's real eigenvalues is negative; by SuperLU with row exchanges."""
+        factors = splu(self.jacobian_n_m)
+        exchanges = sum(_sign(order) < 0 for order in (factors.perm_r, factors.perm_c))
+        return bool((np.count_nonzero(factors.U.diagonal() < 0) + exchanges) % 2)
 
     def growing_directions(self) -> tuple[int, int]:
         """How many eigenvalues of the Jacobian have a negative real part, and how many of these are not real.
 
         A small motion along such a direction drives itself on. None has where the symmetric part is positive definite.
         """
-        symmetric = 0.5 * (self.jacobian_n_m + self.jacobian_n_m.T)
+        jacobian = self.jacobian_n_m.toarray()
+        symmetric = 0.5 * (jacobian + jacobian.T)
         with contextlib.suppress(np.linalg.LinAlgError):
             np.linalg.cholesky(symmetric)
             return 0, 0
-        eigenvalues = np.linalg.eigvals(self.jacobian_n_m)
+        eigenvalues = np.linalg.eigvals(jacobian)
         growing = eigenvalues[eigenvalues.real < 0]
         return len(growing), int(np.count_nonzero(growing.imag))
+
+
+def _sign(order: NDArray[np.integer]) -> int:
+    """Sign of a permutation."""
+    cycles, left = 0, set(range(len(order)))
+    while left:
+        cycles, place = cycles + 1, left.pop()
+        while (place := int(order[place])) in left:
+            left.remove(place)
+    return 1 if (len(order) - cycles) % 2 == 0 else -1
 
 
 class BalanceCheck:
@@ -74,7 +87,7 @@ class BalanceCheck:
         here: Assembled = self._probe.at(self._scene._x)
         return Balance(
             largest_force_n=float(np.linalg.norm(here.forces_n.reshape(-1, 3), axis=1).max()),
-            jacobian_n_m=here.matrix_n_m,
+            jacobian_n_m=here.sparse_matrix_n_m,
             overlaps=find_overlap(self._probe.model.surfaces, self._probe.points_m(self._scene._x)).first_body >= 0,
         )
 

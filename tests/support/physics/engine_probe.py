@@ -5,9 +5,10 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csc_array
 from vitac.envs.fem.contact.broad_phase import Candidates, find_candidates, relative_motion
 from vitac.envs.fem.contact.forces import ContactMemory
-from vitac.envs.fem.linear.system import GEL_STRIDE, NO_PLACE, SystemLayout, block_place, gel_block_place
+from vitac.envs.fem.linear.system import GEL_STRIDE, SystemLayout, block_place, gel_block_place, gel_block_places
 from vitac.envs.fem.model.model import EXACT_MATRIX, PRESCRIBED, PROJECTED_MATRIX, Model, point_positions
 from vitac.envs.fem.scene.scene import Scene
 from vitac.envs.fem.solver.assembly import State, StepStart, Workspace, assemble, new_workspace
@@ -23,16 +24,21 @@ class Assembled:
     Attributes:
         forces_n: dE/dx at the unknown nodes [N], shape [3 u].
         all_forces_n: dE/dx at every node [N], shape [n, 3]; at prescribed nodes what holds them, without inertia.
-        matrix_n_m: Newton matrix [N/m], shape [3 u, 3 u].
+        sparse_matrix_n_m: Newton matrix [N/m], shape [3 u, 3 u].
         coupling_n: matrix times the prescribed motion, at the unknown nodes [N], shape [3 u].
         active_contacts: pairs closer than d_hat.
     """
 
     forces_n: FloatArray
     all_forces_n: FloatArray
-    matrix_n_m: FloatArray
+    sparse_matrix_n_m: csc_array
     coupling_n: FloatArray
     active_contacts: int
+
+    @property
+    def matrix_n_m(self) -> FloatArray:
+        """The Newton matrix with its zeros [N/m], shape [3 u, 3 u]."""
+        return self.sparse_matrix_n_m.toarray()
 
 
 class Probe:
@@ -50,7 +56,7 @@ class Probe:
         self._workspace: Workspace = new_workspace(self.model.system, len(self.x_m))
 
     @cached_property
-    def _places(self) -> IndexArray:
+    def _places(self) -> tuple[IndexArray, IndexArray, IndexArray]:
         return entry_places(self.model.system)
 
     def points_m(self, x_m: FloatArray) -> FloatArray:
@@ -90,7 +96,7 @@ class Probe:
         return Assembled(
             forces_n=w.system.gradient[self.unknown_nodes].ravel().copy(),
             all_forces_n=w.system.gradient.copy(),
-            matrix_n_m=np.where(self._places == NO_PLACE, 0.0, w.system.entries[self._places]),
+            sparse_matrix_n_m=_matrix(self._places, w.system.entries),
             coupling_n=w.system.coupling[self.unknown_nodes].ravel().copy(),
             active_contacts=int(w.active[0]),
         )
@@ -98,20 +104,32 @@ class Probe:
 
 def dense_matrix(system: SystemLayout, entries: FloatArray) -> FloatArray:
     """The system's matrix from its flat entries, shape [n + m, n + m]."""
-    places = entry_places(system)
-    return np.where(places == NO_PLACE, 0.0, entries[places])
+    return _matrix(entry_places(system), entries).toarray()
 
 
-def entry_places(system: SystemLayout) -> IndexArray:
-    """Place of every number of the system's matrix among its flat entries or NO_PLACE, shape [n + m, n + m]."""
-    total = (system.block.n + system.block.m) // 3
-    places = np.full((3 * total, 3 * total), NO_PLACE, dtype=np.int64)
-    for a in range(total):
-        for b in range(total):
-            place, stride = system_place(system, a, b)
-            if place != NO_PLACE:
-                places[3 * a : 3 * a + 3, 3 * b : 3 * b + 3] = place + stride * np.arange(3)[:, None] + np.arange(3)
-    return places
+def _matrix(places: tuple[IndexArray, IndexArray, IndexArray], entries: FloatArray) -> csc_array:
+    rows, columns, flat = places
+    return csc_array((entries[flat], (rows, columns)))
+
+
+def entry_places(system: SystemLayout) -> tuple[IndexArray, IndexArray, IndexArray]:
+    """Row, column and place among the flat entries of every number of the system's matrix that has one."""
+    gel, total = system.block.nodes, (system.block.n + system.block.m) // 3
+    a = np.concatenate([np.arange(gel), np.repeat(np.arange(gel), np.diff(system.neighbours.start))])
+    b = np.concatenate([np.arange(gel), system.neighbours.node])
+    framed = [(i, j) for i in range(total) for j in range(total) if max(i, j) >= gel]
+    framed_places = [system_place(system, i, j) for i, j in framed]
+    framed_a, framed_b = np.array(framed, dtype=np.int64).reshape(-1, 2).T
+    first, stride = np.array(framed_places, dtype=np.int64).reshape(-1, 2).T
+    rows, columns = np.concatenate([a, framed_a]), np.concatenate([b, framed_b])
+    places = np.concatenate([gel_block_places(system.neighbours, a, b), first])
+    strides = np.concatenate([np.full(len(a), GEL_STRIDE), stride])
+    i, j = np.divmod(np.arange(9), 3)
+    return (
+        (3 * rows[:, None] + i).ravel(),
+        (3 * columns[:, None] + j).ravel(),
+        (places[:, None] + strides[:, None] * i + j).ravel(),
+    )
 
 
 def system_place(system: SystemLayout, a: int, b: int) -> tuple[int, int]:
