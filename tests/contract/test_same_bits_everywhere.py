@@ -49,9 +49,9 @@ def _exact_power(node: ast.BinOp) -> bool:
     return squared or (isinstance(node.left, ast.Constant) and isinstance(node.left.value, int))
 
 
-@pytest.mark.parametrize("module", MODULES)
-def test_module_keeps_to_exactly_rounded_operations(module: str) -> None:
-    assert offences((ENVS / module).read_text()) == []
+def test_modules_keep_to_exactly_rounded_operations() -> None:
+    assert len(MODULES) > 100
+    assert {module: found for module in MODULES if (found := offences((ENVS / module).read_text()))} == {}
 
 
 @pytest.mark.parametrize(
