@@ -106,18 +106,18 @@ def test_hash_is_the_same_for_workers_order_and_resume(submission: Path, drifted
         skip=(1,),
         episode_period_s=0.125,
     )
-    with ShardProcesses() as processes, processes.running_shard(order) as process:
-        resumed = [one.records[0], *process.records(), one.records[2]]
-        assert result_hash(process.result.manifest, resumed) == one.result_hash
-        assert process.result.isolation is not None
-        assert process.result.isolation.episode_period_s == 0.125
     of_another = order.model_copy(update={"evaluator_version": "1+another"})
-    with (
-        ShardProcesses() as processes,
-        processes.running_shard(of_another) as process,
-        pytest.raises(VitacError, match="Expected evaluator 1\\+another, got 1"),
-    ):
-        list(process.records())
+    with ShardProcesses() as processes:
+        with processes.running_shard(order) as process:
+            resumed = [one.records[0], *process.records(), one.records[2]]
+            assert result_hash(process.result.manifest, resumed) == one.result_hash
+            assert process.result.isolation is not None
+            assert process.result.isolation.episode_period_s == 0.125
+        with (
+            processes.running_shard(of_another) as process,
+            pytest.raises(VitacError, match="Expected evaluator 1\\+another, got 1"),
+        ):
+            list(process.records())
 
 
 @pytest.mark.usefixtures("shared_simulation")

@@ -79,6 +79,7 @@ def test_output_of_the_policy_is_shown(tmp_path: Path, capsys: pytest.CaptureFix
     assert "OSError: gone" in text
 
 
+@pytest.mark.usefixtures("shared_simulation")
 def test_links_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (submission_folder(tmp_path) / "link").symlink_to("policy.py")
     code, text = check(tmp_path, capsys, "--json")
@@ -86,6 +87,7 @@ def test_links_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert "is a link" in json.loads(text)["refused"][0]
 
 
+@pytest.mark.usefixtures("shared_simulation")
 def test_what_is_no_submission_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, text = check(tmp_path, capsys)
     assert code == 1

@@ -14,13 +14,11 @@ def test_large_json_is_refused_whether_its_length_is_told_or_not(service: Servic
     body = b'{"name": "' + b"x" * LIMIT_BYTES + b'"}'
 
     def chunks() -> Iterator[bytes]:
-        yield from (body[start : start + 1000] for start in range(0, len(body), 1000))
+        yield from (body[start : start + 65536] for start in range(0, len(body), 65536))
 
     headers = {"Content-Type": "application/json"} | bearer(service.token)
-    for path in ("/api/v1/teams", "/api/v1/tokens"):
-        for content in (body, chunks()):
-            answer = service.client.post(path, content=content, headers=headers)
-            problem_of(answer, 413, "body_too_large")
+    for content in (body, chunks()):
+        problem_of(service.client.post("/api/v1/tokens", content=content, headers=headers), 413, "body_too_large")
     assert service.client.get("/health").status_code == 200
 
 
