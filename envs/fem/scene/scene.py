@@ -1,6 +1,6 @@
 """A scene: gels and affine bodies that are stepped together, one IPC step at a time."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from math import sqrt
@@ -43,6 +43,8 @@ _LARGEST_CHANGE, _LONGEST_FOLLOWING = 0.5, 1.2
 _FIRST_STRIDE, _SHORTEST_STRIDE, _MOST_STRIDES = 1 / 8, 1 / 1024, 100
 # Matrices on the path of balances, as a multiple of Newton's iterations.
 _PATH_ITERATIONS = 35
+# In how many shorter IPC steps one is played that has no solution.
+_SHORTER_STEPS = (4, 16, 64)
 # Of the forces held there: what rounding leaves of a balance of kilonewtons over a gap of nanometres.
 _UNBALANCED_PART = 1e-8
 
@@ -54,6 +56,7 @@ class StepStatus(StrEnum):
     DIVIDED = "divided"  # solved after the driven motion was divided
     ESCAPED_SADDLE = "escaped_saddle"  # solved after an unstable equilibrium was left along negative curvature
     RELAXED = "relaxed"  # solved after the forces were relaxed along their flow
+    SHORTENED = "shortened"  # played as several shorter IPC steps, each solved
     CONTINUED = "continued"  # solved by following balances from the start, while held forces were let go
     CUT_OFF = "cut_off"  # ended after the iterations of `CutOffSolverSettings`, not solved
     NOT_CONVERGED = "not_converged"  # not solved; the state is free of intersections but is not a minimum
@@ -66,7 +69,7 @@ class StepReport:
     Attributes:
         status: how it ended; a caller must not continue after NOT_CONVERGED.
         newton_iterations: Newton iterations, all parts together.
-        parts: parts the driven motion was divided into where this state comes from.
+        parts: parts the driven motion was divided into where this state comes from, or shorter IPC steps.
         reusing_iterations: iterations that solved with the factors of an earlier one, among the Newton iterations.
         projected_iterations: iterations whose Hessian had to be projected to be positive definite.
         unstable_solutions: how often an equilibrium was reached whose Jacobian has a negative determinant.
@@ -109,13 +112,26 @@ class StepReport:
 
 
 @dataclass(kw_only=True, eq=False)
+class _Effort:
+    """What an IPC step took, all attempts together."""
+
+    record: Record = field(
+        default_factory=lambda: Record(np.zeros(len(Counter), dtype=np.int64), np.zeros(len(StepMeasure)))
+    )
+    saddle_escapes: int = 0
+
+
+@dataclass(kw_only=True, eq=False)
 class _Attempt:
     """What an IPC step starts from and goes to, node positions [m] of shape [n, 3], and what was counted so far.
 
     Attributes:
         load_n: forces from outside [N], shape [n, 3].
         held: forces [N] of shape [n, 3] that are taken away from the step's own; zero but on the way to its end.
+        effort: of the whole IPC step.
         near: candidates where the last motion ended.
+        status: how it ended.
+        parts: into which the driven motion was divided.
     """
 
     start: FloatArray
@@ -124,11 +140,10 @@ class _Attempt:
     target: FloatArray
     load_n: FloatArray
     held: FloatArray
+    effort: _Effort
     near: Candidates | None = None
-    saddle_escapes: int = 0
-    record: Record = field(
-        default_factory=lambda: Record(np.zeros(len(Counter), dtype=np.int64), np.zeros(len(StepMeasure)))
-    )
+    status: StepStatus = StepStatus.NOT_CONVERGED
+    parts: int = 1
 
     def towards(
         self,
@@ -247,42 +262,25 @@ class Scene:
                 others stay.
             loads: from outside on movable bodies in this step, by number; their weight is not among them.
         """
-        self._couple_touching_gels()
-        start, time_step_s = self._x.copy(), self._time_step_s
-        x_hat, target = start + time_step_s * self._velocity, self._target(driven_targets_m, displacements_m or {})
-        attempt = _Attempt(
-            start=start,
-            memory=self._memory,
-            x_hat=x_hat,
-            target=target,
-            load_n=self._load_n(loads or {}),
-            held=np.zeros_like(start),
-        )
-        self._last_start = start, self._memory
-        if isinstance(self._contact, ArenaContactSettings) and self._contact.weakening is not None:
-            self._model = self._model._replace(surfaces=self._weaken(self._contact.weakening))
-        if len(self._viscous_strain):
-            self._workspace.hexahedron.held_pa[:] = held_stress_pa(self._branches, self._viscous_strain)
-        status, parts = self._solve(attempt)
-        self._velocity = (self._x - start) / time_step_s
-        if self._model.parameters.remembers_slip:
-            near = None if status == StepStatus.NOT_CONVERGED else attempt.near
-            near = near or find_contacts(self._model, self._x)
-            self._memory = sorted_memory(remember_step(self._model, near, self._x, start, attempt.memory))
-        if len(self._viscous_strain):
-            strain = follow_strain(self._branches, self._viscous_strain, self._model.hexahedra, self._x)
-            self._viscous_strain = strain
+        target, load_n = self._target(driven_targets_m, displacements_m or {}), self._load_n(loads or {})
+        before, effort = self.state(), _Effort()
+        attempt = self._advance(target, load_n, effort, self._solve)
+        if attempt.status is StepStatus.NOT_CONVERGED and self._model.parameters.remembers_slip:
+            attempt = self._advance_in_shorter_steps(before, target, load_n, effort)
+        if attempt.status is StepStatus.NOT_CONVERGED:
+            self.restore(before)
+            attempt = self._advance(target, load_n, effort, self._continue)
         force, torque = self._net_load(self._workspace.system.gradient)
-        counts, measures = attempt.record
+        counts, measures = effort.record
         largest_stretch, high_stretch = measure_stretches(self._model.elastic, self._model.hexahedra, self._x)
         return StepReport(
-            status=status,
+            status=attempt.status,
             newton_iterations=int(counts[Counter.ITERATIONS]),
-            parts=parts,
+            parts=attempt.parts,
             reusing_iterations=int(counts[Counter.REUSING_ITERATIONS]),
             projected_iterations=int(counts[Counter.PROJECTED_ITERATIONS]),
             unstable_solutions=int(counts[Counter.UNSTABLE]),
-            saddle_escapes=attempt.saddle_escapes,
+            saddle_escapes=effort.saddle_escapes,
             residual_n=float(measures[StepMeasure.RESIDUAL_N]),
             net_force_n=force,
             net_torque_n_m=torque,
@@ -292,7 +290,7 @@ class Scene:
             gel_forces_n=self._gel_forces_n(self._workspace.system.gradient),
             largest_stretch=largest_stretch,
             high_stretch=high_stretch,
-            time_step_s=time_step_s,
+            time_step_s=self._time_step_s,
         )
 
     def contact_forces(self) -> PairForces:
@@ -413,8 +411,69 @@ class Scene:
             load_n[self._layout.body_slices[index]] += weights[:, None] * force_n
         return load_n
 
+    def _advance(
+        self,
+        target: FloatArray,
+        load_n: FloatArray,
+        effort: _Effort,
+        solve: Callable[[_Attempt], tuple[StepStatus, int]],
+    ) -> _Attempt:
+        """Move the prescribed nodes to their targets in an IPC step that is solved as given; return how that ended."""
+        self._couple_touching_gels()
+        start, time_step_s = self._x.copy(), self._time_step_s
+        attempt = _Attempt(
+            start=start,
+            memory=self._memory,
+            x_hat=start + time_step_s * self._velocity,
+            target=target,
+            load_n=load_n,
+            held=np.zeros_like(start),
+            effort=effort,
+        )
+        self._last_start = start, self._memory
+        if isinstance(self._contact, ArenaContactSettings) and self._contact.weakening is not None:
+            self._model = self._model._replace(surfaces=self._weaken(self._contact.weakening))
+        if len(self._viscous_strain):
+            self._workspace.hexahedron.held_pa[:] = held_stress_pa(self._branches, self._viscous_strain)
+        attempt.status, attempt.parts = solve(attempt)
+        self._velocity = (self._x - start) / time_step_s
+        if self._model.parameters.remembers_slip:
+            near = None if attempt.status == StepStatus.NOT_CONVERGED else attempt.near
+            near = near or find_contacts(self._model, self._x)
+            self._memory = sorted_memory(remember_step(self._model, near, self._x, start, attempt.memory))
+        if len(self._viscous_strain):
+            strain = follow_strain(self._branches, self._viscous_strain, self._model.hexahedra, self._x)
+            self._viscous_strain = strain
+        return attempt
+
+    def _advance_in_shorter_steps(
+        self, before: SceneState, target: FloatArray, load_n: FloatArray, effort: _Effort
+    ) -> _Attempt:
+        """Play an IPC step as several shorter ones, which remember what slips in each, until all are solved.
+
+        A balance with strong friction may not exist where a long step is said to lead, and exist along the way.
+        """
+        whole_s, start = self._time_step_s, before.positions_m
+        for count in _SHORTER_STEPS:
+            self.restore(before)
+            self._set_time_step(whole_s / count)
+            for part in range(1, count + 1):
+                attempt = self._advance(start + (part / count) * (target - start), load_n, effort, self._solve)
+                if attempt.status is StepStatus.NOT_CONVERGED:
+                    break
+            else:
+                attempt.status, attempt.parts = StepStatus.SHORTENED, count
+                break
+        self._set_time_step(whole_s)
+        return attempt
+
+    def _set_time_step(self, time_step_s: float) -> None:
+        self._time_step_s = time_step_s
+        self._branches = build_branches(self._gels, time_step_s)
+        self._model = self._build_model()._replace(surfaces=self._model.surfaces)
+
     def _solve(self, attempt: _Attempt) -> tuple[StepStatus, int]:
-        """Solve in one or more parts, by escaping a saddle, relaxing or continuing; how, and in how many parts."""
+        """Solve in one or more parts, by escaping a saddle or relaxing; how, and in how many parts."""
         s = self._solver
         if isinstance(s, CutOffSolverSettings):
             step = attempt.towards(attempt.target)
@@ -439,6 +498,10 @@ class Scene:
         self._x[:] = attempt.start
         if self._solve_motion(attempt, attempt.towards(attempt.target, relaxes=True)) == SOLVED:
             return StepStatus.RELAXED, 1
+        return StepStatus.NOT_CONVERGED, 1
+
+    def _continue(self, attempt: _Attempt) -> tuple[StepStatus, int]:
+        """Solve by following balances from the start; as `_solve`."""
         is_solved = self._continue_from_start(attempt) or self._follow_path(attempt)
         return (StepStatus.CONTINUED if is_solved else StepStatus.NOT_CONVERGED), 1
 
@@ -467,7 +530,7 @@ class Scene:
     def _escape_saddles(self, attempt: _Attempt) -> bool:
         """Leave the unstable equilibrium that the scene is in, and any that this leads to."""
         for _ in range(self._solver.saddle_escapes):
-            attempt.saddle_escapes += 1
+            attempt.effort.saddle_escapes += 1
             outcome = self._solve_motion(attempt, attempt.towards(attempt.target, escapes_saddle=True))
             if outcome != UNSTABLE:
                 return outcome == SOLVED
@@ -505,11 +568,13 @@ class Scene:
         unbalanced = forces_at(self._model, self._x, attempt.towards(attempt.start), self._workspace)
         path = BalancePath(self._model, self._x, step, unbalanced, self._workspace)
         arrived = path.follow(_PATH_ITERATIONS * self._solver.newton_iterations)
-        attempt.record.counts[Counter.ITERATIONS] += path.iterations
+        attempt.effort.record.counts[Counter.ITERATIONS] += path.iterations
         if arrived and self._solve_motion(attempt, step) == SOLVED:
             return True
         self._x[:] = before
-        forces_at(self._model, self._x, step, self._workspace)
+        left_n = forces_at(self._model, self._x, step, self._workspace)[self._model.unknowns.node]
+        residual_n = float(np.sqrt((left_n * left_n).sum(axis=1)).max())
+        attempt.effort.record.measures[:] = residual_n, *self._workspace.smallest
         return False
 
     def _solve_motion(
@@ -524,7 +589,9 @@ class Scene:
         most = s.newton_iterations if iterations is None else iterations
         residual_n = s.residual_tolerance_n if residual_n is None else residual_n
         tolerances = Tolerances(s.step_tolerance_m, residual_n, most, s.phase_iterations)
-        outcome, attempt.near = solve_step(self._model, self._x, step, tolerances, self._workspace, attempt.record)
+        outcome, attempt.near = solve_step(
+            self._model, self._x, step, tolerances, self._workspace, attempt.effort.record
+        )
         return outcome
 
     def _gel_forces_n(self, gradient: FloatArray) -> tuple[tuple[float, float, float], ...]:

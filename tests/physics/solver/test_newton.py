@@ -125,6 +125,23 @@ def test_what_is_not_solved_is_called_so_and_stays_apart() -> None:
     assert report.smallest_det_f > 0
 
 
+def test_a_step_that_is_not_solved_is_played_as_shorter_ones_with_inertia_and_friction_of_their_own() -> None:
+    contact, few = arena_contact(0.5), replace(STANDARD, newton_iterations=5, phase_iterations=5, division_levels=0)
+    grip = Grip(contact=contact)
+    grip.squeeze(2e-4)
+    alone = Scene(gels=grip.gels, bodies=[grip.body], time_step_s=0.1 / 16, contact=contact, solver=few)
+    alone.restore(grip.scene.state())
+    grip.scene._solver, start_m = few, grip.targets_m
+    report = grip.move(np.array([1e-3, 5e-4, 0.0]), np.array([-1e-3, 3e-4, 0.0]))
+    assert (report.status, report.parts) == (StepStatus.SHORTENED, 16)
+    ways = [(start, end - start) for start, end in zip(start_m, grip.targets_m, strict=True)]
+    for part in range(1, 17):
+        last = alone.step(driven_targets_m=[start + part / 16 * way for start, way in ways])
+        assert last.status is StepStatus.CONVERGED
+    assert grip.scene.state_bytes() == alone.state_bytes()
+    assert (report.residual_n, report.gel_forces_n) == (last.residual_n, last.gel_forces_n)
+
+
 @pytest.mark.parametrize("margin_m", [1e-9, 1e-5, 1e-3])
 def test_the_answer_does_not_depend_on_the_margin_of_the_candidate_list(
     plain: tuple[StepReport, FloatArray], margin_m: float

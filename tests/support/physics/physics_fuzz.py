@@ -55,7 +55,7 @@ class FuzzedStep:
     status: str
     newton_iterations: int
     residual_n: float  # as the solver reports it
-    force_left_n: float | None  # assembled anew; None where it was not looked at, in a reset before its last IPC step
+    force_left_n: float | None  # assembled anew; None in a reset before its last IPC step, and in shorter IPC steps
     unstable: bool  # called solved, but the determinant of the Jacobian, assembled anew, is negative
     growing_directions: int | None  # eigenvalues of that Jacobian with a negative real part; None if not asked for
     oscillating_directions: int | None  # those of them that are not real
@@ -175,6 +175,11 @@ class _Watch:
         return Seen(intersects=self._check.intersects(self._scene), smallest_gap_m=gap_m)
 
     def _look(self) -> None:
+        report = self._scene._last_report
+        if report and report.status is StepStatus.SHORTENED:  # What balances is its last part.
+            self._seen.append(self.bodies())
+            self._balance.remember()
+            return
         loads = {number: load(self._scene.time_s) for number, load in self._scene._loads.items()}
         left = self._balance.balance(loads)
         growing, oscillating = left.growing_directions() if self._eigenvalues else (None, None)
@@ -251,6 +256,7 @@ def summary(steps: list[FuzzedStep]) -> dict[str, float]:
         "ipc_steps": len(steps),
         "divided": status.count(StepStatus.DIVIDED),
         "escaped_saddle": status.count(StepStatus.ESCAPED_SADDLE),
+        "shortened": status.count(StepStatus.SHORTENED),
         "not_converged": status.count(StepStatus.NOT_CONVERGED),
         "intersections": sum(step.intersects for step in steps),
         "overlooked": sum(step.overlooked for step in steps),
