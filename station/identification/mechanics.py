@@ -32,6 +32,8 @@ _DAMPING: Final = 10.0
 """Of the first try after slopes by differences (Levenberg and Marquardt): numbers that little shows hardly move."""
 _FITTED: Final = 0.2
 """Misfit from which on intervals are wider than noise makes them: what our simulation lacks shifts the numbers."""
+_STIFF: Final = 1e3
+"""Damping from which on a try that gains nothing says that nothing is to be gained; below, that it went too far."""
 _LITTLE, _WEAK = 0.1, 2
 """Part of the cost that a try is worth at least, and how many in a row that gain less end a search."""
 _LOOSE_MM: Final = 2.0
@@ -270,8 +272,8 @@ def _improve(replay: _Replay, z: FloatArray, show: Callable[[int, float], None] 
         left, way = _left_over(replay, nearer), nearer - fit.z
         slopes = fit.slopes + np.outer(left - fit.left - fit.slopes @ way, way) / (way @ way)
         gain = 1.0 - _cost(left) / fit.cost
+        weak = 0 if gain > _LITTLE else weak + (gain > 0.0 or damping >= _STIFF)
         damping *= 0.2 if gain > 0.0 else 10.0
-        weak = 0 if gain > _LITTLE else weak + 1
         fit = _Fit(nearer, left, slopes) if gain > 0.0 else fit._replace(slopes=slopes)
         show(number, fit.misfit)
         is_exact = is_exact and gain <= _LITTLE

@@ -90,6 +90,21 @@ def test_a_fit_comes_to_hidden_numbers_from_afar_and_leaves_what_is_not_seen(hid
     assert deviations[2] == pytest.approx(1.0)
 
 
+class CurvedValley:
+    """Differences along whose least a straight step leads out: two tries in a row that gain nothing are no end."""
+
+    observed, noise = np.zeros(2), np.ones(2)
+
+    def predict(self, z: NDArray[np.float64]) -> NDArray[np.float64]:
+        x, y = z[0] - 1.2, z[1] + 1.0
+        return np.array((50.0 * (y - x**2), 5.0 * (1.0 - x)))
+
+
+def test_a_fit_follows_a_curved_valley() -> None:
+    fit = _improve(cast("Any", CurvedValley()), np.zeros(len(_NUMBERS)))
+    assert fit.z[:2] == pytest.approx((2.2, 0.0), abs=0.2)
+
+
 def light_press(gel_friction: float) -> NDArray[np.float64]:
     """Return what our simulation shows of a press of a peg that is held lightly, at one friction of the gels."""
     poses = [(ProbeKind.LIGHT_GRASP, 0.7), (ProbeKind.AIR, 0.7), *((ProbeKind.LIGHT, -z) for z in (0.3, 0.8, 1.3, 1.8))]
