@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from typing import Any
 
-import pytest
 from typer.core import TyperGroup
 from typer.main import get_command
 from vitac.cli.admin.app import app
@@ -42,18 +41,14 @@ def _leaves(command: Any, *path: str) -> Iterator[tuple[str, Any, str]]:
 COMMANDS = {name: (command, of_noun) for name, command, of_noun in _leaves(get_command(app))}
 
 
-def test_all_commands_are_found() -> None:
+def test_each_command_prints_json_and_each_change_has_a_dry_run() -> None:
     assert len(COMMANDS) > 60
     assert {"backup", "results finalize", "team merge", "judging mark"} <= COMMANDS.keys()
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_each_command_prints_json_and_each_change_has_a_dry_run(name: str) -> None:
-    command, of_noun = COMMANDS[name]
-    options = {option for parameter in command.params for option in parameter.opts}
-    verb = name.split()[-1]
-    assert "--json" in options
-    assert ("--dry-run" in options) == (verb not in ONLY_READ and name not in WRITE_A_FILE)
-    assert "--yes" not in options or "--dry-run" in options, "what is asked about can be tried first"
-    assert command.help.rstrip().endswith("."), "it says what it does"
-    assert " " not in name or verb in of_noun, "the help of the noun lists its verbs"
+    for name, (command, of_noun) in COMMANDS.items():
+        options = {option for parameter in command.params for option in parameter.opts}
+        verb = name.split()[-1]
+        assert "--json" in options, name
+        assert ("--dry-run" in options) == (verb not in ONLY_READ and name not in WRITE_A_FILE), name
+        assert "--yes" not in options or "--dry-run" in options, f"{name}: what is asked about can be tried first"
+        assert command.help.rstrip().endswith("."), f"{name} says what it does"
+        assert " " not in name or verb in of_noun, f"the help of the noun lists {name}"

@@ -572,6 +572,18 @@ def test_a_dry_run_of_every_change_answers_and_changes_nothing(setting: Setting)
     assert len(answered) > 30
 
 
+def test_a_read_changes_nothing(setting: Setting) -> None:
+    reads = [
+        setting.prepare(method, path, Who.ORGANIZER)
+        for method, path in described()
+        if method == "get" and Who.ORGANIZER in audience((method, path)) and not path.endswith("/events")
+    ]
+    before = kept_rows(setting)
+    answers = [setting.send("get", prepared, Who.ORGANIZER).is_success for prepared in reads]
+    assert sum(answers) > 40
+    assert kept_rows(setting) == before
+
+
 def kept_rows(setting: Setting) -> dict[str, list[str]]:
     """All rows, but for when a token was used; of notices, which are being sent, the ids."""
     rows = rows_of_every_table(setting.service.database)
