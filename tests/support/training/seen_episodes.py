@@ -31,10 +31,10 @@ SOURCE = Source(
 def features() -> tuple[Feature, ...]:
     """Return columns of one number, of a row, of a matrix, and a small video."""
     return (
-        Feature(name=CAMERA, dtype="video", shape=(32, 48, 3), names=("height", "width", "channels"), key="view"),
-        Feature(name="observation.state", dtype="float32", shape=(3,), key="motion"),
-        Feature(name="observation.flow", dtype="float32", shape=(2, 4), key="flow"),
-        Feature(name="privileged.shape", dtype="float32", shape=(1,), key="shape"),
+        Feature(name=CAMERA, dtype="video", shape=(32, 48, 3), names=("height", "width", "channels"), keys=("view",)),
+        Feature(name="observation.state", dtype="float32", shape=(3,), keys=("motion",)),
+        Feature(name="observation.flow", dtype="float32", shape=(2, 4), keys=("flow",)),
+        Feature(name="privileged.shape", dtype="float32", shape=(1,), keys=("shape",)),
         *list_features(SOURCE.task, ()),
     )
 

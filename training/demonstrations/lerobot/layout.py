@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
+from itertools import chain
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -68,16 +70,16 @@ class Feature:
         dtype: of its numbers; "string" or "video" where it has none.
         shape: of an entry; (1,) for a single number.
         names: of the numbers of an entry, or of the axes of a picture.
-        key: of the observation that it holds, if any.
-        read: makes its entries of those of the observation; None: they are the same.
+        keys: of the observations that it holds, if any.
+        read: makes its entries of those of the observations; None: they are those of the only one.
     """
 
     name: str
     dtype: str
     shape: tuple[int, ...]
     names: Sequence[str] | None = None
-    key: str | None = None
-    read: Callable[[NDArray[Any]], NDArray[Any]] | None = None
+    keys: tuple[str, ...] = ()
+    read: Callable[..., NDArray[Any]] | None = None
 
     def describe(self, fps: float) -> dict[str, Any]:
         """Return the entry of `info.json`."""
@@ -112,7 +114,8 @@ def list_features(
             frame with the markers takes LeRobot 3.5 times as long.
     """
     actions = [component.name for component in task.actions]
-    observed = (feature for entry in observables for feature in _observed(entry))
+    state = [entry for entry in observables if not entry.privileged and len(entry.shape) <= 1]
+    observed = chain(_state(state), *(_observed(entry) for entry in observables if entry not in state))
     return (
         *(feature for feature in observed if not only_vectors or feature.dtype == "video" or len(feature.shape) == 1),
         Feature(name="action", dtype="float32", shape=(len(actions),), names=actions),
@@ -124,6 +127,27 @@ def list_features(
     )
 
 
+def _state(entries: Sequence[Observable[Any]]) -> Iterator[Feature]:
+    """Yield the column of all that a policy sees in single numbers and vectors, touch aside.
+
+    LeRobot's own policies read no other vector beside that of touch, and none of one number.
+    """
+    names = [
+        entry.name if prod(entry.shape) == 1 else f"{entry.name}_{number}"
+        for entry in entries
+        for number in range(prod(entry.shape))
+    ]
+    if entries:
+        keys = tuple(entry.name for entry in entries)
+        yield Feature(
+            name="observation.state", dtype="float32", shape=(len(names),), names=names, keys=keys, read=_join
+        )
+
+
+def _join(*columns: NDArray[Any]) -> NDArray[np.float32]:
+    return np.column_stack(columns).astype(np.float32)
+
+
 def _observed(entry: Observable[Any]) -> Iterator[Feature]:
     """Yield the columns of an observable: as it is, and what LeRobot's own policies can read of touch."""
     axes = ("height", "width", "channels")
@@ -131,24 +155,28 @@ def _observed(entry: Observable[Any]) -> Iterator[Feature]:
         for gel, side in enumerate(SIDES):
             name = f"observation.images.{side}"
             yield Feature(
-                name=name, dtype="video", shape=entry.shape[1:], names=axes, key=entry.name, read=partial(_picture, gel)
+                name=name,
+                dtype="video",
+                shape=entry.shape[1:],
+                names=axes,
+                keys=(entry.name,),
+                read=partial(_picture, gel),
             )
     elif is_coloured_picture(entry):
         yield Feature(
-            name=f"observation.images.{entry.name}", dtype="video", shape=entry.shape, names=axes, key=entry.name
+            name=f"observation.images.{entry.name}", dtype="video", shape=entry.shape, names=axes, keys=(entry.name,)
         )
     elif entry.privileged:
-        yield Feature(name=f"privileged.{entry.name}", dtype=entry.dtype, shape=entry.shape, key=entry.name)
+        yield Feature(name=f"privileged.{entry.name}", dtype=entry.dtype, shape=entry.shape, keys=(entry.name,))
     else:
-        name = "observation.state" if entry.name == "relative_motion" else f"observation.{entry.name}"
-        yield Feature(name=name, dtype=entry.dtype, shape=entry.shape, key=entry.name)
+        yield Feature(name=f"observation.{entry.name}", dtype=entry.dtype, shape=entry.shape, keys=(entry.name,))
     if entry.name == MARKERS:
         yield Feature(
             name="observation.environment_state",
             dtype="float32",
             shape=(len(MOTION_NAMES),),
             names=MOTION_NAMES,
-            key=entry.name,
+            keys=(entry.name,),
             read=fit_motions,
         )
 

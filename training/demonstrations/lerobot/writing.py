@@ -220,10 +220,9 @@ class _Writer:
         last = np.arange(length) == length - 1
         indices = np.arange(length, dtype=np.int64)
         seen = {
-            feature.name: feature.read(observed) if feature.read else observed
+            feature.name: feature.read(*observed) if feature.read else observed[0]
             for feature in self._features
-            if feature.key is not None
-            for observed in [frames.observations[feature.key][:-1]]
+            if (observed := [frames.observations[key][:-1] for key in feature.keys])
         }
         return {
             **seen,

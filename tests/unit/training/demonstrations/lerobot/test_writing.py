@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 from seen_episodes import CAMERA, FPS, write_data_set
-from vitac.training.demonstrations.lerobot.layout import INFO, STATS, Version
+from vitac.evaluator.tracks import find_task
+from vitac.training.demonstrations.frames import choose_observables
+from vitac.training.demonstrations.lerobot.layout import INFO, STATS, Version, list_features
 
 pytest.importorskip("pyarrow", reason="needs the extra `data`")
 
@@ -51,6 +53,26 @@ assert torch.isfinite(loss), loss
 print(sorted(name for name, each in config.input_features.items() if each.type is FeatureType.ENV))
 """
 """Trains LeRobot's own ACT for a step, as `lerobot-train --policy.type=act` does."""
+
+
+@pytest.mark.parametrize(
+    ("task", "names"),
+    [
+        ("peg-insertion", [f"relative_motion_{number}" for number in range(4)]),
+        ("slip", ["relative_motion", "gripper_width"]),
+        ("in-hand-turn", ["goal_angle", "relative_motion_0", "relative_motion_1"]),
+    ],
+)
+def test_the_state_joins_what_is_seen_in_numbers_and_vectors(task: str, names: list[str]) -> None:
+    """LeRobot makes a scalar of a vector of one number, of which its policies then make a batch of one."""
+    _, chosen = find_task(task)
+    features = {feature.name: feature for feature in list_features(chosen, choose_observables(chosen, None))}
+    state = features["observation.state"]
+    assert (state.names, state.shape) == (names, (len(names),))
+    assert [name for name, each in features.items() if name.startswith("observation.") and len(each.shape) < 2] == [
+        "observation.state",
+        "observation.environment_state",
+    ]
 
 
 @pytest.mark.slow
