@@ -88,6 +88,27 @@ def test_blocks_stick_and_then_slide_within_the_friction_cone_while_the_pattern_
     assert ratios[-1] > 0.8 * friction
 
 
+@pytest.mark.parametrize("shear_m", [5e-5, 1e-3])
+def test_to_press_shear_and_release_a_block_costs_what_slides_and_never_yields_energy(shear_m: float) -> None:
+    """The normal force changes while it is sheared, and the way ends where it began; a small shear sticks."""
+    stack, force_n, exchanged_j = Stack(friction=0.5, rigid=True), np.zeros(3), list[float]()
+    stack.move(0.0, 0.0, 1e-4)
+    for way_m, parts in (
+        ((0.0, 0.0, -3e-4), 6),
+        ((shear_m, 0.0, 0.0), 10),
+        ((0.0, 0.0, -2e-4), 4),
+        ((-shear_m, 0.0, 0.0), 10),
+        ((0.0, 0.0, 5e-4), 10),
+    ):
+        for _ in range(parts):
+            before_n, part_m = force_n, np.array(way_m) / parts
+            force_n = np.array(stack.move(*part_m).gel_forces_n[0])
+            exchanged_j.append(float(0.5 * (before_n + force_n) @ part_m))
+    assert np.abs(force_n).max() < 1e-5
+    lost = sum(exchanged_j) / sum(map(abs, exchanged_j))
+    assert lost == pytest.approx(0.0, abs=1e-5) if shear_m < 1e-4 else lost > 0.1
+
+
 def test_a_scene_of_touching_gels_is_restored_and_copied_to_the_last_bit() -> None:
     stack = Stack(friction=0.5)
     stack.move(0.0, 0.0, -1e-4)
