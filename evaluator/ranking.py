@@ -86,6 +86,14 @@ class Ranking(StrictModel):
         """What plots show: the first key, or the success rate where the date comes first."""
         return SUCCESS_RATE if self.keys[0] == SUBMITTED_AT else self.keys[0]
 
+    def describe_first(self, values: Mapping[str, float | None]) -> str:
+        """Return what is compared first with its value, such as "success rate: 75.0 %"."""
+        key = self.compared_first
+        value, title = values.get(key.name), f"{key.title[0].lower()}{key.title[1:]}"
+        if value is None:
+            return f"{title}: none"
+        return f"{title}: {100 * value:.1f} %" if key == SUCCESS_RATE else f"{title}: {value:.3g}"
+
     @property
     def measures(self) -> tuple[RankingKey, ...]:
         """The keys that not every score has."""

@@ -12,7 +12,7 @@ from ..client.verbs import print_fields, print_rows, readable
 from ..terminal.output import percent, print_pairs, print_records, print_table
 
 Given = Mapping[str, Any]
-WINNERS = ("track", "place", "team", "amount", "currency", "rank", "success_rate", "mean_steps", "total", "points")
+WINNERS = ("track", "place", "team", "amount", "currency", "rank", "won_by", "total", "points")
 EVALUATIONS = ("id", "team", "submission", "run", "state", "success", "steps", "verdict", "alarms", "copied", "created")
 SUBMISSIONS = ("submission", "team", "name", "track", "state", "episodes", "success", "steps", "submitted")
 WORKERS = ("id", "host", "pid", "state", "evaluator_version", "shards", "isolation", "heartbeat_at", "message")
@@ -68,7 +68,7 @@ def print_teams(answer: Any, _: Given) -> None:
 
 def print_winners(answer: Any, _: Given) -> None:
     """Print who wins what."""
-    rows = [row | {name: percent(row[name]) for name in ("success_rate", "total")} for row in answer["items"]]
+    rows = [row | {"total": percent(row["total"])} for row in answer["items"]]
     print_records(rows, WINNERS, none="Nobody wins.", as_json=False)
 
 

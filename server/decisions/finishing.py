@@ -44,6 +44,7 @@ class Winner:
     Attributes:
         place: of the prize table.
         amount: of money, in the competition's currency.
+        won_by: what its board compares first, with its value; None where results are entered.
         success_rate, mean_steps, submission, result_hash: of the submission by which it won; None where results are
             entered.
         total: by which it won a judged track; None elsewhere.
@@ -57,6 +58,7 @@ class Winner:
     amount: int
     currency: str
     note: str | None
+    won_by: str | None = None
     success_rate: float | None = None
     mean_steps: float | None = None
     submission: str | None = None
@@ -254,12 +256,14 @@ def _issue_receipt(session: Session, competition: Competition, *, reason: str | 
 
 def _find_winners(session: Session, stage: Stage, currency: str) -> list[Winner]:
     """Return the winners by the board of a stage; of fewer teams than prizes all win."""
+    ranking = stage.find_ranking()
     return _award(
         stage,
         currency,
         [
             {
                 "team": entry.team,
+                "won_by": ranking.describe_first(ranking.values(entry, entry.submitted_at)),
                 "success_rate": entry.success_rate,
                 "mean_steps": entry.mean_steps,
                 "submission": str(entry.submission_id),

@@ -59,8 +59,8 @@ flex-direction: column; justify-content: center; break-inside: avoid; }
 {% if not final_on %}<p><strong>Not final: results may still change.</strong></p>{% endif %}
 <h2>{{ winner.team }}</h2>
 <p>{{ winner.place|capitalize }} prize, {{ names[winner.track] }}</p>
-<p>{% if winner.points is not none %}{{ "%g"|format(winner.points) }} points{% else %}success rate {{
-"%.1f"|format(100 * winner.success_rate) }} %{% endif %}{% if winner.total is not none %}; total {{
+<p>{% if winner.points is not none %}{{ "%g"|format(winner.points) }} points{% else %}{{ winner.won_by
+}}{% endif %}{% if winner.total is not none %}; total {{
 "%.1f"|format(100 * winner.total) }} %{% endif %}{% if winner.note %}; {{ winner.note }}{% endif %}</p>
 {% if final_on %}<p>final since {{ final_on }}</p>{% endif %}
 {% if winner.submission in twins %}<p><strong>{{ twins[winner.submission] }}</strong></p>{% endif %}

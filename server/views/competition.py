@@ -161,6 +161,9 @@ class WinnerView(View):
     rank: int
     team: str
     amount: int
+    won_by: str | None = Field(
+        default=None, description="What the board compares first, with its value; null: operators entered the results."
+    )
     success_rate: float | None = Field(default=None, description="Null: operators entered the results.")
     result_hash: str | None = None
     total: float | None = Field(

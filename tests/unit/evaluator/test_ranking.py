@@ -135,3 +135,18 @@ def test_keys_that_cannot_rank_are_refused(names: list[str], sentence: str) -> N
 
 def test_the_usual_ranking_is_the_default() -> None:
     assert make_ranking(DEFAULT_RANKING) == Ranking()
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (DEFAULT_RANKING, "success rate: 50.0 %"),
+        (("error_mm", "success_rate", "submitted_at"), "error [mm]: 0.123"),
+        (("mean_steps", "submitted_at"), "mean env steps: 4"),
+        (("grip_n", "submitted_at"), "grip [N]: none"),
+        (("submitted_at",), "success rate: 50.0 %"),
+    ],
+)
+def test_what_is_compared_first_is_said_with_its_value(names: tuple[str, ...], said: str) -> None:
+    ranking = make_ranking(names, (ERROR, GRIP))
+    assert ranking.describe_first(Entry(measures={"error_mm": 0.12345}).values(ranking)) == said

@@ -3,7 +3,7 @@ import json
 from datetime import UTC, datetime
 
 import pytest
-from service_factories import TASK, TRACK, make_principal, make_score, submit_scored
+from service_factories import LOCK, TASK, TRACK, make_principal, make_score, submit_scored
 from submission_steps import refused
 from vitac.server.database.engine import Database
 from vitac.server.decisions.finishing import finalize
@@ -77,6 +77,21 @@ def test_the_page_says_that_it_is_not_final_and_each_winner_has_a_certificate(fi
     assert files["certificates.html"].count('class="certificate"') == 2
     assert "a talk" in files["certificates.html"]
     assert "Plain" not in files["certificates.html"]
+
+
+def test_a_certificate_says_by_what_its_board_was_won(database: Database) -> None:
+    ranking = ["mean_steps", "success_rate", "submitted_at"]
+    content = make_competition(prizes=[{"place": "first", "amount": 2000}], ranking=ranking)
+    del content["tracks"][TRACK]["stages"][1]
+    with database.transaction() as session:
+        put_in_place(session, open_now(content))
+        for team, solved, mean_steps in (("Ants", 90, 9.0), ("Bees", 50, 3.5)):
+            scores = dict.fromkeys((TASK, LOCK), make_score(solved, mean_steps=mean_steps))
+            submit_scored(session, make_principal(session, team), team, scores)
+        page = result_files(session)["certificates.html"]
+    assert "<h2>Bees</h2>" in page
+    assert "<p>mean env steps: 3.5</p>" in page
+    assert "50.0 %" not in page
 
 
 def test_what_is_final_has_its_date(database: Database) -> None:
