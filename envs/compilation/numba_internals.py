@@ -25,6 +25,7 @@ from numba.core.typing.templates import make_concrete_template
 from numba.np import arrayobj
 
 from ..kernel_cache import STARTED_LOG, CompileProgress, CompilingTurn, cache_directory, note_use, remove_unused
+from ..signals import signals_act
 from .sources import read_source, source_digest
 
 _LOG = logging.getLogger("vitac.envs.compilation")
@@ -222,7 +223,7 @@ class KernelDispatcher(CPUDispatcher):
             args, _ = sigutils.normalize_signature(sig)
             if tuple(args) in self.overloads or self._cache.holds(sig, self.targetctx):
                 return super().compile(sig)
-            with _TURN.taken(cache_directory(), CompileProgress(**_COUNTS)):
+            with signals_act(), _TURN.taken(cache_directory(), CompileProgress(**_COUNTS)):
                 return super().compile(sig)
 
     def get_call_template(self, args: Any, kws: Any) -> Any:

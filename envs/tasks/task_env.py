@@ -24,6 +24,7 @@ from ..fem.model.mesh import GelMesh, SurfaceMesh
 from ..fem.model.settings import ContactModel
 from ..observable import Observable
 from ..scene.grasped_scene import Clocks, GraspedScene, Stopwatch
+from ..signals import signals_wait
 from ..tactile.design import SensorDesign
 from ..vision.still import StillCamera
 from .definition import EndReason, Flags, TaskDefinition, append_tables, chosen_observables
@@ -286,6 +287,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
             digest.update(values.tobytes())
         return digest.hexdigest()
 
+    @signals_wait()
     def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None) -> tuple[Observation, Info]:
         """Start an episode; see the class for the options.
 
@@ -307,8 +309,9 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         end_reason = None if self.scene.solved else EndReason.NOT_CONVERGED
         return self._observation(), self._completed(Flags(), end_reason)
 
+    @signals_wait()
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, Info]:
-        """Play one env step.
+        """Play one env step; Ctrl-C ends it where it is over.
 
         Raises:
             ActionError: the action is not an array of real numbers, has another shape than the action space, or is not

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ...signals import signals_wait
 from ..contact.broad_phase import Candidates
 from ..contact.forces import ContactMemory, PairForces, empty_memory, no_forces, pair_forces, sorted_memory
 from ..contact.overlap import find_overlap
@@ -245,6 +246,7 @@ class Scene:
         branches, hexahedra = self._branches.rate.shape
         return new_workspace(self._model.system, len(self._x), hexahedra if branches else 0)
 
+    @signals_wait()
     def step(
         self,
         *,
