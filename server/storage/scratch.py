@@ -3,10 +3,12 @@
 import errno
 import fcntl
 import os
+import random
 import re
 import shutil
 import socket
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -16,6 +18,8 @@ from sqlalchemy.exc import DBAPIError
 
 from ..errors import storage_full
 from ..settings import Settings
+
+_PAUSE_S = 0.02
 
 
 @contextmanager
@@ -100,13 +104,16 @@ def _share(folder: Path, fill: Callable[[Path], object]) -> int:
             fcntl.flock(descriptor, fcntl.LOCK_SH)
             if _is_there(folder, descriptor) and (folder / _COMPLETE).exists():
                 return descriptor
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
-            if _is_there(folder, descriptor) and not (folder / _COMPLETE).exists():
-                _fill(folder, fill)
+            with suppress(BlockingIOError):
+                # Whoever waited for this lock would wait for all who use what another one fills in between.
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if _is_there(folder, descriptor) and not (folder / _COMPLETE).exists():
+                    _fill(folder, fill)
         except BaseException:
             os.close(descriptor)
             raise
         os.close(descriptor)  # a lock that becomes a weaker one is given up in between: look again
+        time.sleep(random.uniform(0, _PAUSE_S))  # noqa: S311 - of two who want to fill each may have stopped the other
 
 
 def _fill(folder: Path, fill: Callable[[Path], object]) -> None:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -96,6 +97,26 @@ def test_a_shared_folder_is_filled_once_and_goes_with_the_last_who_uses_it(tmp_p
     assert len(fills) == 1
     remove_unused(tmp_path / "images")  # of two that leave at the same moment each may see the other
     assert list((tmp_path / "images").iterdir()) == []
+
+
+def test_who_found_a_folder_empty_does_not_wait_for_those_who_use_it_once_it_is_filled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flock, users = fcntl.flock, ExitStack()
+    late = threading.Thread(target=lambda: ExitStack().enter_context(shared_folder(tmp_path, "a", fill_slowly)))
+
+    def lock(descriptor: int, operation: int) -> None:
+        if operation & fcntl.LOCK_EX and threading.current_thread() is late:
+            monkeypatch.setattr(fcntl, "flock", flock)
+            flock(descriptor, fcntl.LOCK_UN)
+            users.enter_context(shared_folder(tmp_path, "a", fill_slowly))
+        flock(descriptor, operation)
+
+    monkeypatch.setattr(fcntl, "flock", lock)
+    with users:
+        late.start()
+        late.join(5)
+        assert not late.is_alive()
 
 
 def test_a_shared_folder_that_cannot_be_filled_is_not_there_for_the_next(tmp_path: Path) -> None:
