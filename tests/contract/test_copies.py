@@ -9,10 +9,9 @@ import cloudpickle
 import gymnasium
 import numpy as np
 import pytest
-import vitac.envs
+from environment_ids import EACH_ENVIRONMENT, ENV_IDS
 from vitac.envs.tasks.making import ForkedVectorEnv, NumericInfos
 
-ENV_IDS = sorted(vitac.envs.ENVIRONMENTS)
 WAYS: dict[str, Callable[[Any], Any]] = {
     "deepcopy": copy.deepcopy,
     "pickle": lambda env: pickle.loads(pickle.dumps(env)),  # noqa: S301 - what was just pickled
@@ -62,7 +61,7 @@ def begun(env: Any) -> Any:
     return env
 
 
-@pytest.mark.parametrize("env_id", ENV_IDS)
+@pytest.mark.parametrize("env_id", EACH_ENVIRONMENT)
 def test_copies_go_on_with_the_same_bits(env_id: str) -> None:
     env = begun(gymnasium.make(env_id, **EVERYTHING).unwrapped)
     picture = env.render()

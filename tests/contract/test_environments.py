@@ -12,7 +12,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-import vitac.envs
+from environment_ids import EACH_ENVIRONMENT, ENV_IDS
 from gymnasium.utils.env_checker import check_env
 from trajectories import digests as trajectory_digests
 from trajectories import trajectory_digest
@@ -21,11 +21,10 @@ from vitac.envs.tasks.task_env import ActionError
 from vitac.errors import VitacError
 from vitac.evaluator.tracks.definition import environment_definition
 
-ENV_IDS = sorted(vitac.envs.ENVIRONMENTS)
 EVERY_TASKS_KEYS = {"marker_flow"}
 
 
-@pytest.fixture(params=ENV_IDS, scope="module")
+@pytest.fixture(params=EACH_ENVIRONMENT, scope="module")
 def env_id(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 

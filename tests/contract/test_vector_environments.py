@@ -7,12 +7,11 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-import vitac.envs
+from environment_ids import EACH_ENVIRONMENT
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from vitac.envs.tasks.making import ForkedVectorEnv, NumericInfos
 from vitac.envs.tasks.task_env import ActionError
 
-ENV_IDS = sorted(vitac.envs.ENVIRONMENTS)
 KINDS = {"sync": SyncVectorEnv, "async": AsyncVectorEnv, None: ForkedVectorEnv}
 COPIES = 4
 SEEDS = 8
@@ -43,7 +42,7 @@ def entries(info: dict[str, Any]) -> Iterator[tuple[str, Any]]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("env_id", ENV_IDS)
+@pytest.mark.parametrize("env_id", EACH_ENVIRONMENT)
 def test_all_kinds_play_the_same_episodes_through_autoreset(env_id: str) -> None:
     runs = []
     for mode, kind in KINDS.items():
@@ -64,7 +63,7 @@ def test_all_kinds_play_the_same_episodes_through_autoreset(env_id: str) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("env_id", ENV_IDS)
+@pytest.mark.parametrize("env_id", EACH_ENVIRONMENT)
 def test_infos_have_one_shape_through_two_hundred_steps_of_mixed_shapes(env_id: str) -> None:
     shapes: dict[str, set[tuple[int, ...]]] = {}
     played_shapes: set[float] = set()
