@@ -104,9 +104,12 @@ def _share(folder: Path, fill: Callable[[Path], object]) -> int:
             fcntl.flock(descriptor, fcntl.LOCK_SH)
             if _is_there(folder, descriptor) and (folder / _COMPLETE).exists():
                 return descriptor
-            with suppress(BlockingIOError):
-                # Whoever waited for this lock would wait for all who use what another one fills in between.
+            # Whoever waited for this lock would wait for all who use what another one fills in between.
+            try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                pass
+            else:
                 if _is_there(folder, descriptor) and not (folder / _COMPLETE).exists():
                     _fill(folder, fill)
         except BaseException:

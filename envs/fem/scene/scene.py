@@ -44,10 +44,10 @@ _LARGEST_CHANGE, _LONGEST_FOLLOWING = 0.5, 1.2
 _FIRST_STRIDE, _SHORTEST_STRIDE, _MOST_STRIDES = 1 / 8, 1 / 1024, 100
 # Matrices on the path of balances, as a multiple of Newton's iterations.
 _PATH_ITERATIONS = 35
-# In how many shorter IPC steps one is played that has no solution.
-_SHORTER_STEPS = (4, 16, 64)
 # Of the forces held there: what rounding leaves of a balance of kilonewtons over a gap of nanometres.
 _UNBALANCED_PART = 1e-8
+# In how many shorter IPC steps one is played that has no solution.
+_SHORTER_STEPS = (4, 16, 64)
 
 
 class StepStatus(StrEnum):
@@ -124,14 +124,14 @@ class _Effort:
 
 @dataclass(kw_only=True, eq=False)
 class _Attempt:
-    """What an IPC step starts from and goes to, node positions [m] of shape [n, 3], and what was counted so far.
+    """What an IPC step starts from and goes to, node positions [m] of shape [n, 3], and how it ended.
 
     Attributes:
         load_n: forces from outside [N], shape [n, 3].
         held: forces [N] of shape [n, 3] that are taken away from the step's own; zero but on the way to its end.
         effort: of the whole IPC step.
         near: candidates where the last motion ended.
-        status: how it ended.
+        status: of its end.
         parts: into which the driven motion was divided.
     """
 

@@ -7,6 +7,7 @@ import gymnasium
 import numpy as np
 import pytest
 import vitac.envs  # noqa: F401 - registers the environments
+from vitac.envs.compilation import kernel, numba_internals
 from vitac.envs.signals import signals_act, signals_wait
 
 
@@ -50,8 +51,31 @@ def test_signals_act_where_a_kernel_is_compiled() -> None:
         with pytest.raises(Stopped), signals_act():
             signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGTERM)
+        reached = False
         with pytest.raises(Stopped), signals_act():
-            pytest.fail("it was handled before")
+            reached = True
+        assert not reached, "it was handled before"
+
+
+@kernel
+def doubled(x: float) -> float:
+    return 2 * x
+
+
+def test_the_compilation_of_a_kernel_is_stopped_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    went_on = False
+
+    def taken(*_: object) -> None:
+        nonlocal went_on
+        signal.raise_signal(signal.SIGINT)
+        went_on = True
+        raise ValueError
+
+    monkeypatch.setattr(numba_internals.KernelCache, "holds", lambda *_: False)
+    monkeypatch.setattr(numba_internals._TURN, "taken", taken)
+    with pytest.raises(Stopped), signals_wait():
+        doubled(1.0)
+    assert not went_on
 
 
 def test_a_signal_that_is_ignored_stays_so() -> None:

@@ -140,6 +140,8 @@ def test_every_command_that_changes_something_is_tried() -> None:
     options = {name: {text for given in command.params for text in given.opts} for name, command in commands(group)}
     changes = {name for name, given in options.items() if "--dry-run" in given}
     assert changes | WITHOUT_DRY_RUN == set(CHANGES) | TRIED_ELSEWHERE
+    asking = {name for name, given in options.items() if "--yes" in given}
+    assert set(CHANGES) - asking == WITHOUT_DRY_RUN, "scripts give it to every change"
 
 
 def there_is(service: CliService, name: str, tmp_path: Path) -> str:
