@@ -1,5 +1,7 @@
 """Entry point of the `vitac` command: a table of nouns, each imported only when it is used."""
 
+import atexit
+import gc
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -113,6 +115,7 @@ NOUNS = (
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; exit with 0 for done, 1 for refused, 2 for wrong usage, 130 for Ctrl-C."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
+    atexit.register(gc.freeze)  # else Python looks through all that is loaded several times before it ends
     _print_what_a_terminal_lacks()
     try:
         build_app(arguments)(arguments, prog_name="vitac")

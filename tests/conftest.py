@@ -53,7 +53,6 @@ def pytest_collection() -> Generator[None, object, object]:
     try:
         return (yield)
     finally:
-        gc.collect()
         gc.freeze()
         gc.set_threshold(ALLOCATIONS_PER_COLLECTION)
         gc.enable()

@@ -1,15 +1,11 @@
 """A real browser (Debian's chromium, driven by playwright) and a service with content on this machine."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import pytest
 from playwright.sync_api import Browser, Page, expect
 from real_browser import WITHOUT_GPU, launched
-from seeded_site import seeded_site
-from service_client import serving
-from site_under_test import SiteUnderTest
-from vitac.web.front import Recent
+from site_under_test import SiteUnderTest, served_site
 from waiting import LIMIT_S
 
 expect.set_options(timeout=1000 * LIMIT_S)
@@ -24,11 +20,8 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture
 def site() -> Iterator[SiteUnderTest]:
-    with seeded_site() as seeded:
-        pages = seeded.app.state.site
-        seeded.app.state.site = replace(pages, front=Recent(kept_s=0.0), competitions=Recent(kept_s=0.0))
-        with serving(seeded.app) as (host, port):
-            yield SiteUnderTest(address=f"http://{host}:{port}", seeded=seeded)
+    with served_site() as site:
+        yield site
 
 
 @pytest.fixture

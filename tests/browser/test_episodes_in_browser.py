@@ -4,7 +4,7 @@ import shutil
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -28,8 +28,7 @@ from waiting import resize, until, wait_for_rest
 pytestmark = pytest.mark.slow(minutes=3)
 
 HOUR_S = 3600  # later than a page of which only the clock is told to go on can be
-PEG, LOCK, FUSION = "peg-insertion", "lock-opening", "fusion-insertion"
-OF_ARENA = ("moving-hole", "explore", "in-hand-turn", "slip")
+PEG, LOCK, FUSION, SLIP = "peg-insertion", "lock-opening", "fusion-insertion", "slip"
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +108,7 @@ def expect_time(page: Page, time: str) -> None:
     expect(page.get_by_label("Env step", exact=True)).to_have_value(time)
 
 
-@pytest.mark.parametrize(("task", "number"), [(PEG, 5), (LOCK, 3), (FUSION, 7)])
+@pytest.mark.parametrize(("task", "number"), [(PEG, 5), (LOCK, 3), (FUSION, 7), (SLIP, 2)])
 def test_an_episode_is_seen_in_3d_with_what_was_measured(
     site: SiteUnderTest, page: Page, task: str, number: int
 ) -> None:
@@ -124,35 +123,25 @@ def test_an_episode_is_seen_in_3d_with_what_was_measured(
     names = ("left sensor", "right sensor", "from above", "section")
     panels = [page.get_by_role("img", name=name).bounding_box() for name in names]
     assert len({panel["y"] for panel in panels if panel}) == 1, "what is felt and both sections stand in one row"
+    page.get_by_text("Values of every env step").click()
+    expect(page.get_by_role("rowheader")).to_have_text(
+        [str(1 + step) for step in range(len(guided(task, number).rewards))]
+    )
     assert violations(page) == []
 
 
-@pytest.mark.parametrize("task", OF_ARENA)
-def test_an_episode_of_every_further_task_is_seen_from_its_start_to_its_end(
-    site: SiteUnderTest, page: Page, task: str
-) -> None:
-    open_player(site, page, made(site, task, 2))
-    assert len(colours(page.locator("canvas.scene"))) > 8
-    expect(page.get_by_role("img", name="over the env steps")).to_have_count(5)
-    ended = seen(page.locator("canvas.scene"))
-    expect_time(page, str(len(guided(task, 2).rewards)))
-    page.get_by_label("Env step", exact=True).press("Home")
-    expect_time(page, "0")
-    assert seen(page.locator("canvas.scene")) != ended
-    assert violations(page) == []
-
-
-@pytest.mark.parametrize("size", [{"width": 1280, "height": 800}, {"width": 1280, "height": 900}, PHONE])
-def test_controls_stand_below_the_scene(site: SiteUnderTest, page: Page, size: dict[str, int]) -> None:
-    resize(page, size)
+def test_controls_stand_below_the_scene(site: SiteUnderTest, page: Page) -> None:
     open_player(site, page, made(site))
-    stage, controls = (page.locator(part).bounding_box() for part in (".stage", "form.transport"))
-    assert stage
-    assert controls
-    assert stage["y"] + stage["height"] <= controls["y"]
-    if size is not PHONE:
-        assert controls["y"] + controls["height"] <= size["height"], "both in the first window"
-        assert stage["height"] > 0.5 * size["height"]
+    for size in (DESK, {"width": 1280, "height": 900}, PHONE):
+        resize(page, size)
+        wait_for_rest(page)
+        stage, controls = (page.locator(part).bounding_box() for part in (".stage", "form.transport"))
+        assert stage
+        assert controls
+        assert stage["y"] + stage["height"] <= controls["y"]
+        if size is not PHONE:
+            assert controls["y"] + controls["height"] <= size["height"], "both in the first window"
+            assert stage["height"] > 0.5 * size["height"]
 
 
 def test_the_code_that_is_shared_plays_the_moment_in_a_page_of_another_site(site: SiteUnderTest, page: Page) -> None:
@@ -174,18 +163,21 @@ def test_the_code_that_is_shared_plays_the_moment_in_a_page_of_another_site(site
     assert page.context.cookies() == []
 
 
-def record_film(page: Page) -> None:
+def test_a_film_has_every_picture_is_cancelled_and_is_refused_in_words_by_a_browser_without_an_encoder(
+    site: SiteUnderTest, page: Page, tmp_path: Path
+) -> None:
+    open_player(site, page, made(site))
     open_layers(page)
     page.get_by_label("Speed").select_option("4")
     page.get_by_text("Film", exact=True).click()
     page.get_by_label("Width").select_option("640")
-    page.get_by_role("button", name="Record a film").click()
-
-
-def test_a_film_has_every_picture_from_the_start_to_the_end(site: SiteUnderTest, page: Page, tmp_path: Path) -> None:
-    open_player(site, page, made(site))
+    record = page.get_by_role("button", name="Record a film")
+    record.click()
+    expect(page.get_by_role("progressbar", name="Recorded part")).to_be_visible()
+    page.get_by_role("button", name="Cancel").click()
+    expect(page.get_by_text("Cancelled.")).to_be_visible()
     with page.expect_download(timeout=600e3) as downloaded:
-        record_film(page)
+        record.click()
     assert downloaded.value.suggested_filename == "both_episode_5_trapezoid_x_-4.00_mm_y_-2.00_mm_turned_+2.00deg.webm"
     downloaded.value.save_as(tmp_path / "film.webm")
     film = cv2.VideoCapture(str(tmp_path / "film.webm"))
@@ -195,19 +187,8 @@ def test_a_film_has_every_picture_from_the_start_to_the_end(site: SiteUnderTest,
     assert pictures[0].shape[1] == 640
     moved = [int(np.abs(one.astype(int) - pictures[-1]).max()) for one in pictures]
     assert moved[0] > 40 > max(moved[-14:]), "the end is shown for half a second"
-
-
-def test_recording_is_cancelled_and_is_refused_in_words_by_a_browser_without_an_encoder(
-    site: SiteUnderTest, page: Page
-) -> None:
-    open_player(site, page, made(site))
-    record_film(page)
-    expect(page.get_by_role("progressbar", name="Recorded part")).to_be_visible()
-    page.get_by_role("button", name="Cancel").click()
-    expect(page.get_by_text("Cancelled.")).to_be_visible()
-    wait_for_rest(page)
     page.evaluate("delete window.VideoEncoder")
-    page.get_by_role("button", name="Record a film").click()
+    record.click()
     expect(page.get_by_text("There is no film: this browser does not encode films")).to_be_visible()
 
 
@@ -265,16 +246,19 @@ def test_playing_goes_to_the_end_at_the_chosen_speed_and_starts_again(site: Site
 def test_the_keyboard_plays_moves_and_turns(site: SiteUnderTest, page: Page) -> None:
     page.clock.install(time=0)
     open_player(site, page, made(site))
+    expect(page.get_by_text("With the scene focused")).to_be_visible()
     expect_time(page, "3")  # the end, which the still shows
     for key, time in (("Home", "0"), ("ArrowRight", "1"), ("End", "3"), ("ArrowLeft", "2"), ("Home", "0")):
         page.keyboard.press(key)
         expect_time(page, time)
     scene = page.locator("canvas.scene")
     scene.focus()
+    before = seen(scene)
     for key in ("ArrowLeft", "ArrowUp", "+"):
-        before = seen(scene)
         page.keyboard.press(key)
-        assert seen(scene) != before, key
+        after = seen(scene)
+        assert after != before, key
+        before = after
     expect_time(page, "0")
     scene.blur()
     page.clock.pause_at(HOUR_S)
@@ -347,17 +331,6 @@ def test_where_the_peg_presses_on_the_plate_both_are_coloured(site: SiteUnderTes
     assert dark_red(scene) > 10, "beside the menu the scene is smaller"
 
 
-def test_values_stand_in_a_table_too(site: SiteUnderTest, page: Page) -> None:
-    open_player(site, page, made(site))
-    page.get_by_text("Values of every env step").click()
-    expect(page.get_by_role("columnheader")).to_have_text(
-        ["Env step", "x", "y", "theta", "Reward", "Left [mm]", "Right [mm]", "Largest force [N]"]
-        + [f"Peg above plate {corner} [mm]" for corner in range(1, 5)]
-    )
-    expect(page.get_by_role("rowheader")).to_have_text(["1", "2", "3"])
-    assert violations(page) == []
-
-
 def test_two_episodes_play_side_by_side(site: SiteUnderTest, page: Page) -> None:
     made(site, PEG, 6)
     open_player(site, page, made(site))
@@ -382,16 +355,15 @@ def test_two_episodes_play_side_by_side(site: SiteUnderTest, page: Page) -> None
     assert violations(page) == []
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_an_episode_fits_a_phone(browser: Browser, site: SiteUnderTest, scheme: Any) -> None:
-    context = browser.new_context(viewport=PHONE, color_scheme=scheme)  # type: ignore[arg-type]
-    page = context.new_page()
-    site.enter(page)
+def test_an_episode_fits_a_phone(site: SiteUnderTest, page: Page) -> None:
+    resize(page, PHONE)
     open_player(site, page, made(site, FUSION, 7))
     wait_for_rest(page)
     assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
-    assert violations(page) == []
-    context.close()
+    schemes: tuple[Literal["light", "dark"], ...] = ("light", "dark")
+    for scheme in schemes:
+        page.emulate_media(color_scheme=scheme)
+        assert violations(page) == []
 
 
 def test_a_browser_without_webgl_shows_the_still_and_the_plots(site: SiteUnderTest, page: Page) -> None:
@@ -414,15 +386,6 @@ def test_a_browser_without_webgl_shows_the_still_and_the_plots(site: SiteUnderTe
     page.get_by_role("heading", level=1).click()
     page.keyboard.press("End")
     expect_time(page, "3")
-
-
-def test_help_for_the_player_stands_only_where_something_is_played(site: SiteUnderTest, page: Page) -> None:
-    help_text = page.get_by_text("With the scene focused")
-    open_player(site, page, made(site))
-    expect(help_text).to_be_visible()
-    site.open(page, ask_for_playback(site.seeded, "both", 9, state=WorkState.FAILED))
-    expect(page.get_by_text("There is no playback of this episode.")).to_be_visible()
-    expect(help_text).to_be_hidden()
 
 
 def test_without_javascript_there_is_the_still_and_a_button_to_ask(browser: Browser, site: SiteUnderTest) -> None:
@@ -494,6 +457,7 @@ def test_a_failed_playback_says_so(site: SiteUnderTest, page: Page) -> None:
     expect(page.get_by_text("Another playback is made first")).to_be_visible()
     ask_for_playback(site.seeded, "both", state=WorkState.FAILED)
     expect(page.get_by_text("There is no playback of this episode. The states differ.")).to_be_visible()
+    expect(page.get_by_text("With the scene focused")).to_be_hidden()  # the player's help
     assert violations(page) == []
 
 

@@ -11,7 +11,7 @@ from browser_checks import DESK
 from played_episodes import ask_for_playback, guided
 from playwright.sync_api import Browser, Page, expect
 from real_browser import SOFTWARE_WEBGL, launched
-from site_under_test import SiteUnderTest
+from site_under_test import served_site
 from tab_key import press_tab_through
 from vitac.envs.tactile.camera import camera_frame
 from vitac.envs.tactile.gel import eye_distance_m
@@ -46,23 +46,36 @@ def browser() -> Iterator[Browser]:
         yield browser
 
 
+@pytest.fixture(scope="module")
+def opened_page(browser: Browser) -> Iterator[Page]:
+    """The page of an episode, which counts what it draws and sends."""
+    with served_site() as site:
+        context = browser.new_context(viewport=DESK)  # type: ignore[arg-type]
+        page = context.new_page()
+        page.add_init_script(COUNTED)
+        site.enter(page)
+        site.open(page, ask_for_playback(site.seeded, "both", state=WorkState.DONE))
+        expect(page.get_by_role("form", name="Playback")).to_be_visible()
+        yield page
+        context.close()
+
+
 @pytest.fixture
-def still_page(browser: Browser, site: SiteUnderTest) -> Iterator[Page]:
-    """The page of an episode whose scene has come to rest, and which counts what it draws and sends."""
-    context = browser.new_context(viewport=DESK)  # type: ignore[arg-type]
-    page = context.new_page()
-    page.add_init_script(COUNTED)
-    site.enter(page)
-    site.open(page, ask_for_playback(site.seeded, "both", state=WorkState.DONE))
-    expect(page.get_by_role("form", name="Playback")).to_be_visible()
-    wait_for_rest(page)
-    yield page
-    context.close()
+def still_page(opened_page: Page) -> Page:
+    """That page, whose scene has come to rest wherever the last test left it."""
+    opened_page.emulate_media(reduced_motion="no-preference")
+    resize(opened_page, DESK)
+    wait_for_rest(opened_page)
+    return opened_page
 
 
 def counted(page: Page) -> dict[str, int]:
     found: dict[str, int] = page.evaluate(AFTER_TWO_FRAMES)
     return found
+
+
+def test_tab_reaches_scene_and_controls_and_none_covers_another(still_page: Page) -> None:
+    assert press_tab_through(still_page) == {"left": [], "hidden": []}
 
 
 def test_a_scene_is_drawn_once_for_what_changes_between_two_frames_and_not_while_it_rests(still_page: Page) -> None:
@@ -118,10 +131,6 @@ def test_a_scene_in_motion_is_drawn_less_sharply_and_in_full_once_it_rests(still
     assert float(still_page.get_by_label("Env step", exact=True).input_value()) >= found["time"]
 
 
-def test_tab_reaches_scene_and_controls_and_none_covers_another(still_page: Page) -> None:
-    assert press_tab_through(still_page) == {"left": [], "hidden": []}
-
-
 def test_the_camera_flies_to_a_view_and_is_there_at_once_where_no_motion_is_wanted(still_page: Page) -> None:
     drawn = {}
     for motion, view in (("no-preference", "above"), ("reduce", "left")):
@@ -131,11 +140,6 @@ def test_the_camera_flies_to_a_view_and_is_there_at_once_where_no_motion_is_want
         wait_for_rest(still_page)
         drawn[motion] = counted(still_page)["pictures"] - before
     assert drawn["reduce"] <= 2 < drawn["no-preference"], "one in motion, and one in full resolution"
-
-
-def test_a_state_that_never_comes_fails_with_what_was_seen(still_page: Page) -> None:
-    with pytest.raises(AssertionError, match=r"expected another state within 0\.1 s, got \d"):
-        until(still_page, lambda: counted(still_page)["pictures"], lambda pictures: pictures < 0, limit_s=0.1)
 
 
 def test_a_scene_covers_whole_pixels_of_the_page_so_that_its_lines_are_unbroken(still_page: Page) -> None:
@@ -186,6 +190,11 @@ def empty_page(browser: Browser) -> Iterator[Page]:
     page = browser.new_page()
     yield page
     page.close()
+
+
+def test_a_state_that_never_comes_fails_with_what_was_seen(empty_page: Page) -> None:
+    with pytest.raises(AssertionError, match=r"expected another state within 0\.1 s, got 1"):
+        until(empty_page, lambda: 1, lambda seen: seen < 0, limit_s=0.1)
 
 
 def parts(page: Page, repository: Path, *intervals: float | None) -> list[float]:

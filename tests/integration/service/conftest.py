@@ -28,30 +28,23 @@ second in a server and its workers took a tenth of these tests' CPU time.
 
 
 @pytest.fixture
-def database_address() -> Iterator[str | None]:
-    """A database for `live`. A test gives None instead where it needs an embedded one, which takes seconds to make."""
-    with fresh_database() as address:
-        yield address
-
-
-@pytest.fixture
-def live(database_address: str | None, monkeypatch: pytest.MonkeyPatch) -> Iterator[Service]:
+def live(monkeypatch: pytest.MonkeyPatch) -> Iterator[Service]:
     """A service whose evaluations are short."""
     monkeypatch.setattr(lifecycle, "cut", short_evaluation.short_cut)
     folder = state_directory()
-    settings = load_settings(state_dir=folder, database_url=database_address, **QUICK)
-    with live_service(settings) as service:
+    with (
+        fresh_database() as address,
+        live_service(load_settings(state_dir=folder, database_url=address, **QUICK)) as service,
+    ):
         yield service
     shutil.rmtree(folder)
 
 
 @pytest.fixture
-def start_worker(live: Service, database_address: str | None) -> Iterator[StartWorker]:
+def start_worker(live: Service) -> Iterator[StartWorker]:
     """Starts real worker processes on the service; whatever still runs at the end is ended."""
     environment = {f"VITAC_{name.upper()}": str(value) for name, value in QUICK.items()}
-    environment["VITAC_STATE_DIR"] = str(live.settings.state_dir)
-    if database_address is not None:
-        environment["VITAC_DATABASE_URL"] = database_address
+    environment |= {"VITAC_STATE_DIR": str(live.settings.state_dir), "VITAC_DATABASE_URL": live.database.address}
     with ExitStack() as stack:
 
         def start() -> "subprocess.Popen[bytes]":

@@ -86,17 +86,3 @@ def test_hostile_policies_meet_their_verdicts_and_leave_other_teams_and_the_serv
     board = live.client.get(f"/api/v1/leaderboards/{TRACK}").json()
     assert [entry["submission_id"] for entry in board["entries"]] == [honest]
     assert live.client.get("/ready").json()["status"] == "ready"
-
-
-@pytest.mark.slow
-def test_policy_that_hangs_is_gone_soon_after_a_cancel_and_the_worker_goes_on(
-    live: Service, start_worker: StartWorker, undisturbed_hash: str
-) -> None:
-    hanging = upload(live, make_archive(policy=HOSTILE["wall_time"]), live.other_token)
-    start_worker()
-    eventually(lambda: evaluation(live, hanging, live.other_token)["state"] == "running", LIMIT_S)
-    assert live.post(f"/submissions/{hanging}/cancel", live.other_token).status_code == 200
-    honest = upload(live, HONEST, live.token)
-    eventually(lambda: evaluation(live, honest, live.token)["finished_at"] is not None, LIMIT_S)
-    assert evaluation(live, honest, live.token)["result_hash"] == undisturbed_hash
-    assert evaluation(live, hanging, live.other_token)["state"] == "cancelled"

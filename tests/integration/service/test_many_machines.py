@@ -1,4 +1,4 @@
-"""Three workers and two servers that have only a database and a bucket in common, as on machines of their own."""
+"""Two workers and two servers that have only a database and a bucket in common, as on machines of their own."""
 
 import json
 import os
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.slow
 
 MAIN = "from vitac.cli.main import main; main()"
 SERVE = f"import short_evaluation; short_evaluation.shorten(); {MAIN}"
-N_WORKERS, N_SERVERS = 3, 2
+N_WORKERS, N_SERVERS = 2, 2
 LIMIT_S = 240.0
 
 

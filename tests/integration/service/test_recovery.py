@@ -1,10 +1,9 @@
-"""Kills a part of the service in the middle of an evaluation; the result has to be that of an undisturbed one."""
+"""Kills a worker in the middle of an evaluation; the result has to be that of an undisturbed one.
 
-import os
-import signal
-import subprocess
+`tests/chaos/run.py` kills everything else, too.
+"""
+
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -46,91 +45,26 @@ class Attempt:
         assert final["result_hash"] == self.undisturbed_hash
 
 
-@pytest.fixture
-def attempt(live: Service, undisturbed_hash: str) -> Attempt:
-    """Submitted; no worker has been started."""
-    return begun(live, live.upload(HONEST), undisturbed_hash)
-
-
 def begun(live: Service, answer: Response, undisturbed_hash: str) -> Attempt:
     assert answer.status_code == 202, answer.text
     return Attempt(live=live, submission=answer.json()["id"], undisturbed_hash=undisturbed_hash)
 
 
-@pytest.fixture
-def worker(attempt: Attempt, start_worker: StartWorker) -> "subprocess.Popen[bytes]":
-    """A worker in the middle of the evaluation."""
-    process = start_worker()
-    attempt.wait_for_episodes(2)
-    return process
-
-
-@pytest.mark.slow
-def test_server_and_local_evaluation_give_the_same_hash(attempt: Attempt, start_worker: StartWorker) -> None:
-    start_worker()
-    attempt.assert_same_result()
-    board = attempt.live.get(f"/leaderboards/{TRACK}").json()
-    assert [(entry["rank"], entry["team"], entry["result_hash"]) for entry in board["entries"]] == [
-        (1, "Team A", attempt.undisturbed_hash)
-    ]
-
-
-@pytest.mark.slow
-def test_two_workers_give_the_same_hash(attempt: Attempt, start_worker: StartWorker) -> None:
-    start_worker()
-    start_worker()
-    attempt.assert_same_result()
-
-
 @pytest.mark.slow
 def test_kill_of_the_worker_in_the_middle_changes_nothing(
-    attempt: Attempt, worker: "subprocess.Popen[bytes]", start_worker: StartWorker
+    live: Service, start_worker: StartWorker, undisturbed_hash: str
 ) -> None:
-    worker.send_signal(signal.SIGKILL)
+    attempt = begun(live, live.upload(HONEST), undisturbed_hash)
+    worker = start_worker()
+    attempt.wait_for_episodes(2)
+    worker.kill()
     worker.wait()
     start_worker()
     attempt.assert_same_result()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("database_address", [None], ids=["embedded"])
-@pytest.mark.usefixtures("worker")
-def test_kill_of_the_database_in_the_middle_changes_nothing(attempt: Attempt) -> None:
-    postgres = attempt.live.services.postgres
-    assert postgres is not None
-    killed = postgres.server_pid
-    assert killed is not None
-    os.kill(killed, signal.SIGKILL)
-    eventually(lambda: postgres.server_pid not in (None, killed))
-    eventually(lambda: attempt.live.client.get("/ready").status_code == 200)
-    attempt.assert_same_result()
-
-
-@pytest.mark.slow
-def test_kill_of_the_shards_own_process_in_the_middle_changes_nothing(
-    attempt: Attempt, worker: "subprocess.Popen[bytes]"
-) -> None:
-    os.kill(host_child_of(host_child_of(worker.pid)), signal.SIGKILL)
-    attempt.assert_same_result()
-
-
-@pytest.mark.slow
-def test_kill_of_the_process_that_forks_shards_changes_nothing(
-    attempt: Attempt, worker: "subprocess.Popen[bytes]"
-) -> None:
-    os.kill(host_child_of(worker.pid), signal.SIGKILL)
-    attempt.assert_same_result()
-
-
-@pytest.mark.slow
-def test_stopped_worker_leaves_the_rest_to_the_next_one(
-    attempt: Attempt, worker: "subprocess.Popen[bytes]", start_worker: StartWorker
-) -> None:
-    worker.terminate()
-    assert worker.wait(120.0) == 0
-    eventually(lambda: attempt.live.get(f"/submissions/{attempt.submission}").json()["workers"]["alive"] == 0)
-    start_worker()
-    attempt.assert_same_result()
+    board = live.get(f"/leaderboards/{TRACK}").json()
+    assert [(entry["rank"], entry["team"], entry["result_hash"]) for entry in board["entries"]] == [
+        (1, "Team A", undisturbed_hash)
+    ]
 
 
 @pytest.mark.slow
@@ -143,28 +77,9 @@ def test_kill_of_the_worker_in_the_middle_of_a_log_changes_nothing(
     attempt = begun(live, upload_log(live, log), undisturbed_hash)
     worker = start_worker()
     attempt.wait_for_episodes(2)
-    worker.send_signal(signal.SIGKILL)
+    worker.kill()
     worker.wait()
     start_worker()
     attempt.assert_same_result()
     boards = live.get(f"/leaderboards/{TRACK}/logs").json()["boards"]
     assert [entry["result_hash"] for entry in boards[0]["entries"]] == [undisturbed_hash]
-
-
-def host_child_of(pid: int) -> int:
-    """Wait for a child that holds the loaded simulation: the host below a worker, a shard below the host."""
-    found: list[int] = []
-
-    def look() -> bool:
-        for status in Path("/proc").glob("[0-9]*/status"):
-            try:
-                parent = f"\nPPid:\t{pid}\n" in status.read_text()
-                command = status.with_name("cmdline").read_bytes().decode().split("\0")
-            except (FileNotFoundError, ProcessLookupError):
-                continue
-            if parent and "vitac.evaluator.shards.host" in command:
-                found.append(int(status.parent.name))
-        return bool(found)
-
-    eventually(look)
-    return found[0]

@@ -1,11 +1,10 @@
 """`vitac station run` at twins: what it refuses before anything moves, and what neither its end nor a policy breaks."""
 
 import os
-import platform
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,14 +15,13 @@ import yaml
 from cli_service import CliService, cli_service
 from databases import state_directory
 from sqlalchemy import select
-from submission_steps import make_worker
 from vitac.cli.client.http import Client
 from vitac.cli.client.submit import packed
 from vitac.cli.demo.laboratory import TRACK, made_for_station
 from vitac.envs.geometry.pegs import PegShape
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.server.accounts import stations
-from vitac.server.database.models import EpisodeResult, Shard, Station, SubmissionFile, Worker
+from vitac.server.database.models import EpisodeResult, Shard, SubmissionFile
 from vitac.server.database.states import FileRole, WorkState
 from vitac.server.principals import CONSOLE
 from vitac.station.description import make_station_track
@@ -33,15 +31,6 @@ from vitac.station.verification import verify_video
 from worker_fakes import eventually
 
 MAIN = "import sys; from vitac.cli.main import main; main(sys.argv[1:])"
-AHEAD = """
-from datetime import datetime, timedelta
-from vitac.server.accounts import stations
-class Ahead(datetime):
-    @classmethod
-    def now(cls, tz=None):
-        return datetime.now(tz) + timedelta(minutes=5)
-stations.datetime = Ahead
-"""
 LIMIT_S = 240.0
 POLICY = """
 import time
@@ -57,7 +46,6 @@ class Policy:
 """
 SLOW_THEN_NAN = "time.sleep(0.2); return np.full(3, 0.0 if self.count == 1 else np.nan)"
 """Ten control periods for an answer, then no number."""
-TOO_SLOW = "time.sleep(30)"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,12 +59,12 @@ class Laboratory:
     def describe(self, description: dict[str, Any]) -> None:
         (self.folder / "station.yaml").write_text(yaml.safe_dump(description))
 
-    def start_agent(self, program: str = MAIN) -> "subprocess.Popen[str]":
+    def start_agent(self) -> "subprocess.Popen[str]":
         (self.folder / "key").write_text(self.key)
         command = ["station", "run", str(self.folder / "station.yaml"), "--key", str(self.folder / "key")]
         environment = os.environ | self.service.environment | {"VITAC_LIMITS": '{"action_wall_s": 3}'}
         return subprocess.Popen(
-            [sys.executable, "-c", program, *command], env=environment, stderr=subprocess.PIPE, text=True
+            [sys.executable, "-c", MAIN, *command], env=environment, stderr=subprocess.PIPE, text=True
         )
 
     def submit(self, submission: Path) -> str:
@@ -115,52 +103,15 @@ def twins() -> Iterator[TwinStation]:
         yield station
 
 
-def nothing(_: Laboratory, __: TwinStation) -> None:
-    """Arrange nothing."""
-
-
-def other_stage(_: Laboratory, twins: TwinStation) -> None:
-    twins.stage.serial_number = "STAGE-2"
-
-
-def other_gel(_: Laboratory, twins: TwinStation) -> None:
-    twins.description["left"]["calibration"]["serial_number"] = "28X1-OTHER"
-
-
-def removed_key(laboratory: Laboratory, _: TwinStation) -> None:
-    with laboratory.service.database.transaction() as session:
-        stations.remove_station(session, CONSOLE, "lab")
-
-
-def other_agent(laboratory: Laboratory, _: TwinStation) -> None:
-    make_worker(laboratory.service.database, host=platform.node(), pid=os.getpid())
-    with laboratory.service.database.transaction() as session:
-        session.get_one(Station, "lab").worker_id = session.scalars(select(Worker.id)).one()
-
-
-Arrange = Callable[[Laboratory, TwinStation], None]
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("arrange", "program", "sentence"),
-    [
-        (other_stage, MAIN, "stage: Expected serial number STAGE-1, got STAGE-2."),
-        (other_gel, MAIN, "The calibration is of 28X1-OTHER, expected one of 28F0-GX7F."),
-        (removed_key, MAIN, "No station has this key."),
-        (other_agent, MAIN, f"The key of station lab is in use by process {os.getpid()} on"),
-        (nothing, AHEAD + MAIN, "The clock of this station is off by 300 s"),
-    ],
-    ids=["other stage", "other gel", "removed key", "other agent", "clock ahead"],
-)
 def test_agent_is_refused_in_a_sentence_before_anything_moves(
-    laboratory: Laboratory, twins: TwinStation, repository: Path, arrange: Arrange, program: str, sentence: str
+    laboratory: Laboratory, twins: TwinStation, repository: Path
 ) -> None:
     laboratory.submit(repository / "examples" / "peg_insertion_heuristic")
-    arrange(laboratory, twins)
+    twins.stage.serial_number = "STAGE-2"
     laboratory.describe(twins.description)
-    _, errors = (agent := laboratory.start_agent(program)).communicate(timeout=LIMIT_S)
-    assert (agent.returncode, errors.count(sentence)) == (1, 1), errors
+    _, errors = (agent := laboratory.start_agent()).communicate(timeout=LIMIT_S)
+    assert (agent.returncode, errors.count("stage: Expected serial number STAGE-1, got STAGE-2.")) == (1, 1), errors
     assert (twins.stage.position(), twins.gripper.position()) == ((0, 0, 0, 0), 0)
     waiting = laboratory.shard()
     assert (waiting.state, waiting.attempts, waiting.token) == (WorkState.QUEUED, 0, 0)
@@ -194,7 +145,7 @@ def check_video(laboratory: Laboratory, record: dict[str, Any]) -> None:
 
 
 @pytest.mark.slow
-def test_agent_outlives_bad_policies_and_loses_no_trial_when_it_is_stopped_or_killed(
+def test_agent_outlives_a_bad_policy_and_loses_no_trial_when_it_is_stopped_or_killed(
     laboratory: Laboratory, repository: Path
 ) -> None:
     with twin_process(PUBLIC_SETTINGS) as twin:
@@ -203,8 +154,6 @@ def test_agent_outlives_bad_policies_and_loses_no_trial_when_it_is_stopped_or_ki
             laboratory.submit(submission(laboratory.folder / "nan", SLOW_THEN_NAN))
             record = laboratory.record()
             assert (record["failure"]["code"], record["env_steps"]) == ("non_finite_action", 1)
-            laboratory.submit(submission(laboratory.folder / "slow", TOO_SLOW))
-            assert laboratory.record()["failure"]["code"] == "wall_time"
             laboratory.submit(repository / "examples" / "peg_insertion_trained")
             eventually(lambda: laboratory.shard().state is WorkState.RUNNING, LIMIT_S)
             agent.send_signal(signal.SIGTERM)

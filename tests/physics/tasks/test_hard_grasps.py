@@ -68,12 +68,11 @@ def test_a_key_pulled_and_pressed_down_is_relaxed_to_a_stable_balance(env: Any) 
     assert StepStatus.RELAXED in [report.status for report in info["step_reports"]]
 
 
-@pytest.mark.parametrize("seed", [34, pytest.param(65, marks=pytest.mark.slow)])
-def test_a_thin_gel_that_is_squeezed_flat_is_followed_along_balances(checked: None, seed: int) -> None:
+def test_a_thin_gel_that_is_squeezed_flat_is_followed_along_balances(checked: None) -> None:
     """Random actions press tetrahedra of a gel of 2 mm to 3 to 15 % of their volume."""
     gel = structured_gel(name="thin", size=GelDimensions(thickness_mm=2.0))
     env: Any = gymnasium.make("ViTac/PegInsertion-v1", disable_env_checker=True, observation_keys=(), gel=gel)
-    statuses = played(env.unwrapped, seed, 20)
+    statuses = played(env.unwrapped, 34, 20)
     assert StepStatus.CONTINUED in statuses
     assert StepStatus.NOT_CONVERGED not in statuses
 

@@ -1,10 +1,14 @@
 """The pages as a browser test meets them: where they are, what they show, and how to sign in."""
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 
 from playwright.sync_api import Page
-from seeded_site import GELBOTS, SeededSite
+from seeded_site import GELBOTS, SeededSite, seeded_site
+from service_client import serving
 from service_factories import TASK
+from vitac.web.front import Recent
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,3 +69,13 @@ class SiteUnderTest:
     def open(self, page: Page, path: str) -> None:
         """Opens a page."""
         page.goto(f"{self.address}{path}")
+
+
+@contextmanager
+def served_site() -> Iterator[SiteUnderTest]:
+    """A service with content that a browser can reach, and which reads anew what it else caches for some seconds."""
+    with seeded_site() as seeded:
+        pages = seeded.app.state.site
+        seeded.app.state.site = replace(pages, front=Recent(kept_s=0.0), competitions=Recent(kept_s=0.0))
+        with serving(seeded.app) as (host, port):
+            yield SiteUnderTest(address=f"http://{host}:{port}", seeded=seeded)
