@@ -28,9 +28,10 @@ class Learners:
 
     def __init__(self, recipe: Recipe, random: np.random.Generator) -> None:
         self._recipe = recipe
-        self._critic = Critic(recipe.critic, random)
-        self._assessor = Assessor(recipe.assessor, random)
-        self._student = Student(recipe.student, random)
+        images = recipe.has_mirror_images
+        self._critic = Critic(recipe.critic, random, images=images)
+        self._assessor = Assessor(recipe.assessor, random, images=images)
+        self._student = Student(recipe.student, random, images=images)
         self._belief: FloatArray = np.zeros((0, 3), dtype=np.float32)
 
     def learn(self, known: Known, number: int, random: np.random.Generator, tell: TellTurn) -> None:

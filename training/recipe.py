@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 from vitac.envs.fem.model.settings import ContactModel
+from vitac.envs.tasks.peg_insertion.definition import TASK
 from vitac.envs.tasks.settings import Fidelity
 from vitac.evaluator.strict_model import StrictModel, read_yaml
 
@@ -53,6 +54,18 @@ class Recipe(StrictModel):
     """How often the assessor assesses the student, and the student learns of it, in a round."""
     student: StudentPlan = StudentPlan()
     """How the student is learned."""
+
+    @property
+    def has_mirror_images(self) -> bool:
+        """Whether what a mirror or half a turn shows of an episode is drawn as often as the episode itself.
+
+        It is not where something lies to one side in all of them, such as the grasp of one station.
+        """
+        sided = {quantity.name: self.draws.get(quantity.name) for quantity in TASK.quantities if quantity.two_sided}
+        return all(
+            (limits is None or sum(limits) == 0.0) and sided.get(name.replace("left_", "right_")) == limits
+            for name, limits in sided.items()
+        )
 
     @model_validator(mode="before")
     @classmethod

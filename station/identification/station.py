@@ -6,7 +6,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.geometry.pegs import CLEARANCE_MM
-from vitac.envs.tasks.quantities import CAMERA_MOUNT_QUANTITIES, TOUCH_QUANTITIES
+from vitac.envs.tasks.insertion.interface import INSERTION_QUANTITIES
+from vitac.envs.tasks.quantities import CAMERA_MOUNT_QUANTITIES
 from vitac.evaluator.strict_model import StrictModel
 
 from ..description import StagePose, TwinMark
@@ -190,14 +191,17 @@ def _draws(estimates: dict[str, Estimate]) -> dict[str, tuple[float, float]]:
         "gripper_x_mm": ("grasp_x_mm", 1.0, 0.0),
         "gripper_z_mm": ("grasp_z_mm", 1.0, GRIP_MM),
         "clearance_mm": ("tolerance_mm", 1.0, CLEARANCE_MM),
+        "peg_tilt_deg": ("peg_tilt_deg", 1.0, 0.0),
+        "hole_tilt_x_deg": ("plate_tilt_x_deg", 1.0, 0.0),
+        "hole_tilt_y_deg": ("plate_tilt_y_deg", 1.0, 0.0),
         **{quantity.name: (quantity.name, 1.0, 0.0) for quantity in CAMERA_MOUNT_QUANTITIES},
     }
-    ranges = {quantity.name: quantity.range for quantity in TOUCH_QUANTITIES}
+    ranges = {quantity.name: quantity.range for quantity in INSERTION_QUANTITIES}
     draws = {}
     for quantity, (name, factor, offset) in names.items():
         estimate = estimates[name]
         if estimate.is_seen:
             ends = factor * np.array((estimate.low, estimate.high)) + offset
-            low, high = np.clip(ends, *ranges.get(quantity, (-np.inf, np.inf))).tolist()
+            low, high = np.clip(ends, *ranges[quantity]).tolist()
             draws[quantity] = (low, high)
     return draws

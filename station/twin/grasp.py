@@ -1,15 +1,14 @@
 """The twin's peg, gels and plate: the simulation of the envs, driven by where the stage and the gripper really are."""
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import ceil, cos, radians, sin
 from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.assets import Meshes
-from vitac.envs.deterministic_math import sine_cosine
-from vitac.envs.fem.model.mesh import GEL_MATERIAL, PART_MATERIAL, PronyBranch, RigidBody, SurfaceMesh
+from vitac.envs.fem.model.mesh import GEL_MATERIAL, PART_MATERIAL, PronyBranch
 from vitac.envs.fem.model.settings import ArenaContactSettings, FrictionWeakening, PairFriction
 from vitac.envs.geometry.bases import RIM_MM
 from vitac.envs.geometry.pegs import PegShape
@@ -28,7 +27,7 @@ from vitac.envs.tasks.fusion_insertion.scene import (
 )
 from vitac.envs.tasks.insertion.interface import PegOffset
 from vitac.envs.tasks.insertion.scene import InsertionScene
-from vitac.envs.tasks.peg_insertion.scene import START_GAP_MM, PegInsertionSettings, PegScene, PegStart
+from vitac.envs.tasks.peg_insertion.scene import PegInsertionSettings, PegScene, PegStart
 from vitac.envs.vision.camera import Sight
 from vitac.envs.vision.pinhole import RigShift
 
@@ -122,7 +121,7 @@ class HeldPeg:
         axes: where the stage is, from the hole.
     """
 
-    def __init__(self, peg: "_TiltedParts", axes: Axes, fingers: Compliance | None) -> None:
+    def __init__(self, peg: "InsertionScene[Any, Any]", axes: Axes, fingers: Compliance | None) -> None:
         """Close on a peg that stands upright where the gripper is."""
         self._peg = peg
         InsertionScene.grasp(self._peg)
@@ -203,7 +202,6 @@ def hold_peg(
         period_s: time between two calls of `HeldPeg.follow`, as long as an IPC step of viscous gels.
     """
     structure = hidden.structure
-    tilt = structure.tilt or Tilt(peg_deg=0.0, plate_deg=(0.0, 0.0))
     physics = _physics(hidden, period_s if structure.viscosity or structure.weakening else TIME_STEP_S)
     x_mm, y_mm, z_mm, rotation_deg = axes
     clocks = Clocks(physics=Stopwatch(), markers=Stopwatch())
@@ -220,7 +218,6 @@ def hold_peg(
         start = FusionStart(offset=place, target=target)
         return HeldPeg(
             _SeenPeg(
-                tilt,
                 start=start,
                 meshes=meshes,
                 settings=_settings(FusionInsertionSettings, hidden, physics),
@@ -231,58 +228,17 @@ def hold_peg(
             structure.compliance,
         )
     offset = PegOffset(x_mm=x_mm, y_mm=y_mm, theta_deg=rotation_deg)
-    raised = _RaisedPeg(
-        tilt,
-        z_mm - START_GAP_MM,  # PegScene places it above the plate's face
+    raised = PegScene(
         start=PegStart(shape=PegShape(mounted.shape), offset=offset),
         meshes=meshes,
         settings=_settings(PegInsertionSettings, hidden, physics),
         clocks=clocks,
+        gap_mm=z_mm,
     )
     return HeldPeg(raised, axes, structure.compliance)
 
 
-class _TiltedParts(InsertionScene[Any, Any]):
-    """A peg that hangs, and a part with a hole that lies, not quite upright."""
-
-    def __init__(self, tilt: Tilt, **scene: Any) -> None:
-        self._tilt = tilt
-        super().__init__(**scene)
-
-    def _place_fixed(self, mesh: SurfaceMesh, friction: float) -> RigidBody:
-        top_m = np.array((0.0, 0.0, float(mesh.vertices_m[:, 2].max())))
-        return _turned(super()._place_fixed(mesh, friction), self._tilt.plate_deg, top_m)
-
-    def _placed_peg(self) -> RigidBody:
-        upright = super()._placed_peg()
-        pose = self._open_pose(self.offset)
-        sine, cosine = sine_cosine(pose.angle_rad)
-        about_closing = -sine * self._tilt.peg_deg, cosine * self._tilt.peg_deg
-        return _turned(upright, about_closing, np.array((pose.x_m, pose.y_m, pose.z_m)))
-
-
-def _turned(body: RigidBody, tilt_deg: tuple[float, float], about_m: NDArray[np.float64]) -> RigidBody:
-    """Return a body turned about the world's x axis, then its y axis, through a point."""
-    if tilt_deg == (0.0, 0.0):
-        return body
-    (sx, cx), (sy, cy) = (sine_cosine(radians(angle)) for angle in tilt_deg)
-    turn = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]]) @ np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
-    return replace(body, rotation=turn @ body.rotation, translation_m=about_m + turn @ (body.translation_m - about_m))
-
-
-class _RaisedPeg(_TiltedParts, PegScene):
-    """A peg that stands at a height above the plate."""
-
-    def __init__(self, tilt: Tilt, height_mm: float, **scene: Any) -> None:
-        self._height_mm = height_mm
-        super().__init__(tilt, **scene)
-
-    def _lower_end_mm(self, offset: PegOffset) -> tuple[float, float, float]:
-        x_mm, y_mm, z_mm = super()._lower_end_mm(offset)
-        return x_mm, y_mm, z_mm + self._height_mm
-
-
-class _SeenPeg(_TiltedParts, FusionScene):
+class _SeenPeg(FusionScene):
     """A peg above the base with two holes, at which a camera looks that moves with the stage."""
 
     def look_from(self, x_mm: float, y_mm: float, theta_deg: float, z_mm: float) -> Sight:
@@ -302,11 +258,16 @@ _Settings = TypeVar("_Settings", PegInsertionSettings, FusionInsertionSettings)
 
 
 def _settings(kind: type[_Settings], hidden: HiddenSettings, physics: PhysicsSettings) -> _Settings:
+    tilt = hidden.structure.tilt or Tilt(peg_deg=0.0, plate_deg=(0.0, 0.0))
+    hole_tilt_x_deg, hole_tilt_y_deg = tilt.plate_deg
     return kind(
         clearance_mm=kind.clearance_mm + hidden.structure.tolerance_mm,
         indentation_mm=hidden.indentation_mm,
         gripper_x_mm=hidden.grasp_x_mm,
         gripper_z_mm=GRIP_MM + hidden.grasp_z_mm,
+        peg_tilt_deg=tilt.peg_deg,
+        hole_tilt_x_deg=hole_tilt_x_deg,
+        hole_tilt_y_deg=hole_tilt_y_deg,
         physics=physics,
     )
 

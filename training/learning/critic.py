@@ -5,7 +5,7 @@ mirror images. Ensembles and values fitted in sweeps are what assessor and stude
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -204,8 +204,8 @@ class Transitions:
 class Critic(FittedValue):
     """Networks that see the truth."""
 
-    def __init__(self, plan: CriticPlan, random: np.random.Generator) -> None:
-        super().__init__(plan, STATE_SIZE, STATE, random)
+    def __init__(self, plan: CriticPlan, random: np.random.Generator, *, images: bool = True) -> None:
+        super().__init__(plan, STATE_SIZE, replace(STATE, are_drawn=images), random)
         self._plan = plan
 
     def learn(self, episodes: Episodes, random: np.random.Generator, after_sweep: Callable[[int, float], None]) -> None:

@@ -193,10 +193,12 @@ class Signs:
     Attributes:
         mirror: in a mirror with normal x, shape [i].
         turn: after half a turn about z, shape [i].
+        are_drawn: whether mirror images and half turns of what was played could have been played, too.
     """
 
     mirror: FloatArray
     turn: FloatArray
+    are_drawn: bool = True
 
     def changed(
         self, inputs: FloatArray, actions: FloatArray, flips: NDArray[np.bool_], turns: NDArray[np.bool_]
@@ -212,6 +214,8 @@ class Signs:
         self, inputs: FloatArray, actions: FloatArray, turnable: NDArray[np.bool_], random: np.random.Generator
     ) -> tuple[FloatArray, FloatArray]:
         """Return inputs and actions, each half of the times mirrored, and turned where half a turn changes nothing."""
+        if not self.are_drawn:
+            return inputs, actions
         flips, turns = random.integers(2, size=(2, len(inputs))) == 1
         return self.changed(inputs, actions, flips, turns & turnable)
 

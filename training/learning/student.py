@@ -10,7 +10,7 @@ critic that always knows the truth does not see (asymmetric actor-critic: Pinto 
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -68,8 +68,8 @@ class Histories:
 class Student:
     """Networks that know what a policy knows."""
 
-    def __init__(self, plan: StudentPlan, random: np.random.Generator) -> None:
-        self._plan = plan
+    def __init__(self, plan: StudentPlan, random: np.random.Generator, *, images: bool = True) -> None:
+        self._plan, self._signs = plan, replace(HISTORY, are_drawn=images)
         layout = Layout(inputs=HISTORY_SIZE, actions=3, hidden=plan.hidden)
         self._ensemble = Ensemble(layout, plan.networks, random)
 
@@ -117,7 +117,7 @@ class Student:
             rows = order[start : start + self._plan.batch]
             actions = self._actions(rows, estimate_value, random)
             targets = probability(estimate_value(rows, actions))
-            felt, actions = HISTORY.drawn(histories.felt[rows], actions, histories.turnable[rows], random)
+            felt, actions = self._signs.drawn(histories.felt[rows], actions, histories.turnable[rows], random)
             losses.append(learner.learn(felt, actions, targets, rate=rate))
         return float(np.mean(losses))
 
@@ -158,9 +158,6 @@ def student_inputs(episodes: Episodes) -> FloatArray:
         for length, end, action_end in zip(episodes.lengths, ends, action_ends, strict=True)
     ]
     return np.concatenate(inputs)
-
-
-_SIGNS = both(STATE, HISTORY)
 
 
 class AssessorPlan(FittingPlan):
@@ -211,8 +208,8 @@ def assessed(episodes: Episodes) -> Assessed:
 class Assessor(FittedValue):
     """Networks that see the truth and what the student knows."""
 
-    def __init__(self, plan: AssessorPlan, random: np.random.Generator) -> None:
-        super().__init__(plan, STATE_SIZE + HISTORY_SIZE, _SIGNS, random)
+    def __init__(self, plan: AssessorPlan, random: np.random.Generator, *, images: bool = True) -> None:
+        super().__init__(plan, STATE_SIZE + HISTORY_SIZE, replace(both(STATE, HISTORY), are_drawn=images), random)
         self._plan = plan
 
     def learn(

@@ -27,7 +27,7 @@ from ...vision.look import CHALLENGE_LOOK, Look, Rectangle, build_surroundings, 
 from ...vision.pinhole import RigShift, colour_camera_pose
 from ...vision.rasterizer import Body, Label
 from ..insertion.interface import GRIPPER_X, GRIPPER_Z, PegOffset
-from ..insertion.scene import InsertionScene, Parts, check_friction, check_settings
+from ..insertion.scene import InsertionScene, Parts, check_friction, check_settings, lay
 from ..quantities import check_quantities
 from ..settings import require
 from .definition import CAMERA_QUANTITIES, CAMERA_TURN, CAMERA_X, CAMERA_Z, PICTURE_DELAY, TASK
@@ -46,6 +46,9 @@ class FusionInsertionSettings:
         indentation_mm: how far each gel is pressed into the peg.
         gripper_x_mm: grasp centre along the peg's x axis.
         gripper_z_mm: grasp centre above the peg's upper end.
+        peg_tilt_deg: of the peg in the grasp, about the axis along which the gels close.
+        hole_tilt_x_deg: of the base about the world's x axis.
+        hole_tilt_y_deg: of the base about the world's y axis, after that about x.
         peg_friction: friction coefficient of the peg.
         base_friction: friction coefficient of the base.
         clearance_mm: gap between a centred peg and its hole; other bases than the evaluated one are for training.
@@ -74,6 +77,9 @@ class FusionInsertionSettings:
     indentation_mm: float = 0.875
     gripper_x_mm: float = GRIPPER_X.nominal
     gripper_z_mm: float = GRIPPER_Z.nominal
+    peg_tilt_deg: float = 0.0
+    hole_tilt_x_deg: float = 0.0
+    hole_tilt_y_deg: float = 0.0
     peg_friction: float = 9.5
     base_friction: float = 0.5
     clearance_mm: float = OFFICIAL_CLEARANCE_MM
@@ -265,7 +271,7 @@ class FusionScene(InsertionScene[FusionOffset, FusionInsertionSettings]):
             sensors=meshes.sensors(settings.markers),
             peg=peg,
             peg_bottom=peg_bottom(peg, start.target),
-            fixed=self._place_fixed(base_mesh(meshes, settings.clearance_mm), settings.base_friction),
+            fixed=lay(self._place_fixed(base_mesh(meshes, settings.clearance_mm), settings.base_friction), settings),
             rim_mm=RIM_MM,
         )
         super().__init__(parts, offset=start.offset, settings=settings, clocks=clocks)
@@ -324,7 +330,7 @@ class FusionScene(InsertionScene[FusionOffset, FusionInsertionSettings]):
     def _visible(self) -> "_Visible":
         grasped = self.grasped
         peg_m = grasped.held_vertices_m(np.arange(len(grasped.held_surface.vertices_m)))
-        positions_m = [grasped.fixed.mesh.vertices_m, peg_m, grasped.gel_nodes_m(0), grasped.gel_nodes_m(1)]
+        positions_m = [grasped.fixed_surface().vertices_m, peg_m, grasped.gel_nodes_m(0), grasped.gel_nodes_m(1)]
         return _Visible(
             positions_m=[*positions_m, *(solid.vertices_m for solid, _ in self._around)],
             y_m=(self.offset.y_mm + self.target.y_mm) * 1e-3,

@@ -80,7 +80,9 @@ PEG_HEIGHT = Measure(
 )
 """Height of each bottom corner of the peg above the rim, measured [mm]."""
 
-_GRASP_AND_HOLE = GRIPPER_X, GRIPPER_Z, CLEARANCE = (
+LARGEST_TILT_DEG = 3.0
+
+_GRASP_AND_HOLE = GRIPPER_X, GRIPPER_Z, CLEARANCE, *TILTS = (
     symmetric(name="gripper_x_mm", unit="mm", meaning="Grasp beside the middle of the peg", largest=7.0),
     Quantity(
         name="gripper_z_mm",
@@ -95,6 +97,24 @@ _GRASP_AND_HOLE = GRIPPER_X, GRIPPER_Z, CLEARANCE = (
         meaning="Clearance of the hole per side",
         range=(0.1, 3.0),
         nominal=CLEARANCE_MM,
+    ),
+    symmetric(
+        name="peg_tilt_deg",
+        unit="degree",
+        meaning="Tilt of the peg in the grasp, about the axis along which the gels close",
+        largest=LARGEST_TILT_DEG,
+    ),
+    symmetric(
+        name="hole_tilt_x_deg",
+        unit="degree",
+        meaning="Tilt of the part with the hole about the world's x axis",
+        largest=LARGEST_TILT_DEG,
+    ),
+    symmetric(
+        name="hole_tilt_y_deg",
+        unit="degree",
+        meaning="The same about the y axis",
+        largest=LARGEST_TILT_DEG,
     ),
 )
 INSERTION_QUANTITIES = (*TOUCH_QUANTITIES, *_GRASP_AND_HOLE)

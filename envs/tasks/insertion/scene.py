@@ -1,7 +1,7 @@
 """A peg between two upright gels above its hole: settings, offset, motions, and what an env step is judged by."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite, radians
 from typing import Generic, Protocol, TypeVar
 
@@ -19,7 +19,7 @@ from ...tactile.sensor import TactileSensor
 from ..definition import Flags, surface_moved_too_far
 from ..quantities import Ranges, check_quantities
 from ..settings import require
-from .interface import GRIPPER_X, PegOffset
+from .interface import GRIPPER_X, TILTS, PegOffset
 
 OffsetT = TypeVar("OffsetT", bound=PegOffset)
 
@@ -95,6 +95,18 @@ class InsertionSettings(Protocol):
         """Grasp centre above the peg's upper end."""
 
     @property
+    def peg_tilt_deg(self) -> float:
+        """Tilt of the peg about the axis along which the gels close; about the other one they press it upright."""
+
+    @property
+    def hole_tilt_x_deg(self) -> float:
+        """Tilt of the part with the hole about the world's x axis."""
+
+    @property
+    def hole_tilt_y_deg(self) -> float:
+        """Tilt of the part with the hole about the world's y axis, after that about x."""
+
+    @property
     def peg_friction(self) -> float:
         """Friction coefficient of the peg."""
 
@@ -135,7 +147,7 @@ def check_settings(settings: InsertionSettings, *, action_numbers: int) -> None:
     require(usable, "action_scale_mm_deg", scale, f"{_WORDS[action_numbers]} numbers of 0 to 20")
     indentation_mm = settings.indentation_mm
     require(0 < indentation_mm <= 2, "indentation_mm", indentation_mm, "0 to 2 mm, half the gel")
-    check_quantities(settings, (GRIPPER_X,))
+    check_quantities(settings, (GRIPPER_X, *TILTS))
     require(-17 <= settings.gripper_z_mm <= 0, "gripper_z_mm", settings.gripper_z_mm, "-17 to 0 mm")
     check_friction("peg_friction", settings.peg_friction)
 
@@ -276,30 +288,68 @@ class InsertionScene(ABC, Generic[OffsetT, SettingsT]):
         return fixed_at_origin(mesh, friction=friction)
 
     def _placed_peg(self) -> RigidBody:
-        """Return the peg at the commanded offset, upright."""
-        sine, cosine = sine_cosine(radians(self.offset.theta_deg))
-        return RigidBody(
-            mesh=self._parts.peg,
-            rotation=np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]),
-            translation_m=np.array(self._lower_end_mm(self.offset)) * 1e-3,
-            density_kg_m3=self._settings.physics.rigid_density_kg_m3,
-            friction=self._settings.peg_friction,
-        )
+        """Return the peg at the commanded offset."""
+        return place_peg(self._parts.peg, self.offset, self._lower_end_mm(self.offset), self._settings)
 
     def _open_pose(self, offset: OffsetT) -> GripperPose:
         """Return the pose of the gripper around the peg at an offset before the grasp."""
+        x_m, y_m, z_m = _grasp_m(offset, self._lower_end_mm(offset), self._settings)
         angle_rad = radians(offset.theta_deg)
-        sine, cosine = sine_cosine(angle_rad)
-        along_mm = self._settings.gripper_x_mm
-        x_mm, y_mm, z_mm = self._lower_end_mm(offset)
-        return GripperPose(
-            x_m=(x_mm + cosine * along_mm) * 1e-3,
-            y_m=(y_mm + sine * along_mm) * 1e-3,
-            z_m=(z_mm + PEG_HEIGHT_MM + self._settings.gripper_z_mm) * 1e-3,
-            angle_rad=angle_rad,
-            half_opening_m=self._open_half_m(),
-        )
+        return GripperPose(x_m=x_m, y_m=y_m, z_m=z_m, angle_rad=angle_rad, half_opening_m=self._open_half_m())
 
     def _open_half_m(self) -> float:
         """Return the distance of the gels' origins from the gripper's before the grasp [m]."""
         return (0.5 * GRIPPED_WIDTH_MM + highest_mm(self._parts.gel) + GRASP_GAP_MM) * 1e-3
+
+
+def place_peg(
+    mesh: SurfaceMesh, offset: PegOffset, lower_end_mm: tuple[float, float, float], settings: InsertionSettings
+) -> RigidBody:
+    """Return a peg at an offset, tilted about the middle of the grasp.
+
+    Args:
+        mesh: of the peg.
+        offset: whose angle it has.
+        lower_end_mm: where the middle of its lower end would be if it were upright [mm].
+        settings: with its tilt.
+    """
+    sine, cosine = sine_cosine(radians(offset.theta_deg))
+    rotation = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    translation_m = np.array(lower_end_mm) * 1e-3
+    if settings.peg_tilt_deg != 0.0:
+        s, c = sine_cosine(radians(settings.peg_tilt_deg))
+        rotation = np.array([[cosine * c, -sine, cosine * s], [sine * c, cosine, sine * s], [-s, 0.0, c]])
+        grasp_of_peg_m = np.array((settings.gripper_x_mm, 0.0, PEG_HEIGHT_MM + settings.gripper_z_mm)) * 1e-3
+        translation_m = np.array(_grasp_m(offset, lower_end_mm, settings)) - (rotation * grasp_of_peg_m).sum(axis=1)
+    return RigidBody(
+        mesh=mesh,
+        rotation=rotation,
+        translation_m=translation_m,
+        density_kg_m3=settings.physics.rigid_density_kg_m3,
+        friction=settings.peg_friction,
+    )
+
+
+def lay(part: RigidBody, settings: InsertionSettings) -> RigidBody:
+    """Return the part with the hole, which stands at the origin, tilted about the middle of its upper face."""
+    tilt_deg = settings.hole_tilt_x_deg, settings.hole_tilt_y_deg
+    if tilt_deg == (0.0, 0.0):
+        return part
+    (sx, cx), (sy, cy) = (sine_cosine(radians(angle)) for angle in tilt_deg)
+    rotation = np.array([[cy, sy * sx, sy * cx], [0.0, cx, -sx], [-sy, cy * sx, cy * cx]])
+    top_m = np.array((0.0, 0.0, float(part.mesh.vertices_m[:, 2].max())))
+    return replace(part, rotation=rotation, translation_m=top_m - rotation[:, 2] * top_m[2])
+
+
+def _grasp_m(
+    offset: PegOffset, lower_end_mm: tuple[float, float, float], settings: InsertionSettings
+) -> tuple[float, float, float]:
+    """Return the middle of the grasp of a peg whose lower end is there [m]."""
+    sine, cosine = sine_cosine(radians(offset.theta_deg))
+    along_mm = settings.gripper_x_mm
+    x_mm, y_mm, z_mm = lower_end_mm
+    return (
+        (x_mm + cosine * along_mm) * 1e-3,
+        (y_mm + sine * along_mm) * 1e-3,
+        (z_mm + PEG_HEIGHT_MM + settings.gripper_z_mm) * 1e-3,
+    )

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import Meshes
-from ...fem.model.mesh import SurfaceMesh
+from ...fem.model.mesh import RigidBody, SurfaceMesh
+from ...fem.scene.layout import placed
 from ...geometry.pegs import (
     CHALLENGE_FORM,
     PLATE_THICKNESS_MM,
@@ -21,7 +22,7 @@ from ...geometry.pegs import (
 from ...scene.grasped_scene import Clocks, PhysicsSettings
 from ...tactile.markers import MarkerSettings
 from ..insertion.interface import CLEARANCE, GRIPPER_X, GRIPPER_Z, PegOffset
-from ..insertion.scene import TRAVEL_SPEED_M_S, InsertionScene, Parts, check_friction, check_settings
+from ..insertion.scene import TRAVEL_SPEED_M_S, InsertionScene, Parts, check_friction, check_settings, lay, place_peg
 from ..quantities import check_quantities
 from ..settings import require
 from .definition import FORM_QUANTITIES, PEG_BULGE, PEG_SLANT, PEG_TAPER, PEG_WIDTH, TASK
@@ -40,6 +41,9 @@ class PegInsertionSettings:
         indentation_mm: how far each gel is pressed into the peg.
         gripper_x_mm: grasp centre along the peg's x axis.
         gripper_z_mm: grasp centre above the peg's upper end.
+        peg_tilt_deg: of the peg in the grasp, about the axis along which the gels close.
+        hole_tilt_x_deg: of the plate about the world's x axis.
+        hole_tilt_y_deg: of the plate about the world's y axis, after that about x.
         peg_friction: friction coefficient of the peg.
         hole_friction: friction coefficient of the plate.
         clearance_mm: gap between a centred peg and its hole.
@@ -61,6 +65,9 @@ class PegInsertionSettings:
     indentation_mm: float = 0.875
     gripper_x_mm: float = GRIPPER_X.nominal
     gripper_z_mm: float = GRIPPER_Z.nominal
+    peg_tilt_deg: float = 0.0
+    hole_tilt_x_deg: float = 0.0
+    hole_tilt_y_deg: float = 0.0
     peg_friction: float = 9.5
     hole_friction: float = 0.5
     clearance_mm: float = CLEARANCE.nominal
@@ -116,7 +123,7 @@ def _part(meshes: Meshes, form: PegForm, generate: Callable[[], SurfaceMesh], fi
     return meshes.part(generate, f"peg_in_hole/{file}") if form == CHALLENGE_FORM else generate()
 
 
-# Free space between peg and plate before the grasp.
+# Free space between an upright peg and a level plate before the grasp; tilted ones get as much more as they need.
 START_GAP_MM = 0.1
 APPROACH_SPEED_M_S = 1e-3
 
@@ -128,16 +135,35 @@ class PegScene(InsertionScene[PegOffset, PegInsertionSettings]):
         shape: of peg and hole.
     """
 
-    def __init__(self, *, start: PegStart, meshes: Meshes, settings: PegInsertionSettings, clocks: Clocks) -> None:
+    def __init__(
+        self,
+        *,
+        start: PegStart,
+        meshes: Meshes,
+        settings: PegInsertionSettings,
+        clocks: Clocks,
+        gap_mm: float | None = None,
+    ) -> None:
+        """Build the scene.
+
+        Args:
+            start: shape and offset.
+            meshes: of gels and parts.
+            settings: of the task.
+            clocks: that the scene's work is counted on.
+            gap_mm: free height below the peg before the grasp; by default as little as its tilt and the plate's allow.
+        """
         self.shape = start.shape
         # Commanded height of the gripper, relative to the grasp.
         self._z_mm = 0.0
         peg, peg_bottom, hole = self._meshes_of_parts(meshes, settings)
+        fixed = lay(self._place_fixed(hole, settings.hole_friction), settings)
+        self._gap_mm = _free_gap_mm(peg, start.offset, fixed, settings) if gap_mm is None else gap_mm
         parts = Parts(
             sensors=meshes.sensors(settings.markers),
             peg=peg,
             peg_bottom=peg_bottom,
-            fixed=self._place_fixed(hole, settings.hole_friction),
+            fixed=fixed,
             rim_mm=PLATE_THICKNESS_MM,
         )
         super().__init__(parts, offset=start.offset, settings=settings, clocks=clocks)
@@ -153,7 +179,7 @@ class PegScene(InsertionScene[PegOffset, PegInsertionSettings]):
     def grasp(self) -> None:
         """Close on the peg, take the references, and come down until the peg would stand one z step deep."""
         super().grasp()
-        self._descend(START_GAP_MM + self._settings.z_step_mm, APPROACH_SPEED_M_S)
+        self._descend(self._gap_mm + self._settings.z_step_mm, APPROACH_SPEED_M_S)
 
     def move(self, command: NDArray[np.float64]) -> None:
         """Update the commanded offset as an action says, and drive the gripper there."""
@@ -172,9 +198,20 @@ class PegScene(InsertionScene[PegOffset, PegInsertionSettings]):
         return np.append(super().relative_motion_mm_deg(), -self.env_steps * self._settings.z_step_mm)
 
     def _lower_end_mm(self, offset: PegOffset) -> tuple[float, float, float]:
-        return offset.x_mm, offset.y_mm, PLATE_THICKNESS_MM + START_GAP_MM
+        return offset.x_mm, offset.y_mm, PLATE_THICKNESS_MM + self._gap_mm
 
     def _descend(self, distance_mm: float, speed_m_s: float) -> None:
         self._z_mm -= distance_mm
         distance_m = distance_mm * 1e-3
         self.grasped.move_to(self.grasped.pose.moved(z_m=-distance_m), ipc_steps=self._ipc_steps(distance_m, speed_m_s))
+
+
+def _free_gap_mm(peg: SurfaceMesh, offset: PegOffset, fixed: RigidBody, settings: PegInsertionSettings) -> float:
+    """Return the height above the middle of the plate at which a peg is as far from the plate as if both were level."""
+    if not any((settings.peg_tilt_deg, settings.hole_tilt_x_deg, settings.hole_tilt_y_deg)):
+        return START_GAP_MM
+    lowered = place_peg(peg, offset, (offset.x_mm, offset.y_mm, PLATE_THICKNESS_MM), settings)
+    normal = fixed.rotation[:, 2]
+    middle_m = np.array((0.0, 0.0, PLATE_THICKNESS_MM * 1e-3))
+    heights_m = ((placed(peg.vertices_m, lowered) - middle_m) * normal).sum(axis=1)
+    return START_GAP_MM - 1e3 * float(heights_m.min() / normal[2])

@@ -1,6 +1,6 @@
 """Random episodes at the bounds of what a policy may do, every IPC step checked.
 
-Usage: python tests/support/physics/physics_fuzz.py [--task peg|lock|moving|explore|turn|slip|plug|assembly]
+Usage: python tests/support/physics/physics_fuzz.py [--task peg|tilted|lock|moving|explore|turn|slip|plug|assembly]
            [--first SEED] [--episodes N] [--past-end] [--eigenvalues] [--json FILE]
 
 Prints every IPC step that was divided, did not converge or would not last, with the numbers that play it again.
@@ -39,8 +39,8 @@ from vitac.envs.tasks.soft_plug.scene import PlugShape
 from vitac.envs.tasks.task_env import TactileTaskEnv
 
 PEG, LOCK, MOVING, EXPLORE, TURN, SLIP, PLUG = "peg", "lock", "moving", "explore", "turn", "slip", "plug"
-ASSEMBLY = "assembly"
-TASKS = (PEG, LOCK, MOVING, EXPLORE, TURN, SLIP, PLUG, ASSEMBLY)
+ASSEMBLY, TILTED = "assembly", "tilted"
+TASKS = (PEG, TILTED, LOCK, MOVING, EXPLORE, TURN, SLIP, PLUG, ASSEMBLY)
 ENV_STEPS = 8
 
 
@@ -80,6 +80,9 @@ def fuzzed_environment(task: str, random: np.random.Generator, assets_dir: Path 
             gripper_z_mm=float(random.uniform(-10, -6)),
             physics=PhysicsSettings(gel_friction=gel_friction),
         )
+    if task == TILTED:
+        tilts = dict.fromkeys(("peg_tilt_deg", "hole_tilt_x_deg", "hole_tilt_y_deg"), (-3.0, 3.0))
+        return PegInsertionEnv(assets_dir=assets_dir, contact_model="arena-2", draws=tilts)
     if task == MOVING:
         return MovingHoleEnv(
             assets_dir=assets_dir,
@@ -119,7 +122,7 @@ def fuzzed_environment(task: str, random: np.random.Generator, assets_dir: Path 
 
 def start_options(task: str, random: np.random.Generator) -> dict[str, Any]:
     """A start anywhere in the task's range, blocked or not."""
-    if task in {PEG, MOVING}:
+    if task in {PEG, TILTED, MOVING}:
         x, y, theta = random.uniform(-1, 1, 3) * (5, 5, 10)
         return {"shape": str(random.choice(list(PegShape))), "offset_mm_deg": (float(x), float(y), float(theta))}
     if task == EXPLORE:

@@ -26,6 +26,26 @@ def test_values_reach_the_learners(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("draws", "has_images"),
+    [
+        ("{}", True),
+        ("{gripper_x_mm: [-4, 4], clearance_mm: [1, 2]}", True),
+        ("{gripper_x_mm: [0.2, 0.4]}", False),
+        ("{hole_tilt_y_deg: [-1, 0.5]}", False),
+        ("{left_turn_deg: [-1, 1], right_turn_deg: [-1, 1]}", True),
+        ("{left_turn_deg: [-1, 1], right_turn_deg: [-2, 2]}", False),
+        ("{left_turn_deg: [-1, 1]}", False),
+        ("{right_turn_deg: [-1, 1]}", False),
+    ],
+)
+def test_mirror_images_are_learned_from_where_nothing_lies_to_one_side(
+    tmp_path: Path, draws: str, has_images: bool
+) -> None:
+    text = f"task: peg-insertion\nseed: 3\ncontact_model: arena-2\ndraws: {draws}\n"
+    assert read(tmp_path, text).has_mirror_images is has_images
+
+
+@pytest.mark.parametrize(
     ("text", "told"),
     [
         ("seed: 3\n", "Missing key 'task'"),

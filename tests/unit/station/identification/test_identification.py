@@ -125,7 +125,7 @@ def test_a_peg_that_is_held_lightly_slips_and_so_shows_the_friction_of_the_gels(
 
 def test_environments_get_the_intervals_of_what_was_seen_alone() -> None:
     names = ("youngs_modulus_pa", "poisson_ratio", "viscous_ratio", "indentation_mm", "gel_friction", "plate_friction",
-             "grasp_x_mm", "grasp_z_mm", "tolerance_mm",
+             "grasp_x_mm", "grasp_z_mm", "tolerance_mm", "peg_tilt_deg", "plate_tilt_x_deg", "plate_tilt_y_deg",
              *(quantity.name for quantity in CAMERA_MOUNT_QUANTITIES))  # fmt: skip
     estimates = {name: Estimate(0.4, 0.3, 0.5, name != "gel_friction") for name in names}
     estimates["youngs_modulus_pa"] = Estimate(2e5, 1.9e5, 2.1e5, True)
@@ -134,6 +134,7 @@ def test_environments_get_the_intervals_of_what_was_seen_alone() -> None:
     assert draws["gel_poisson_ratio"] == pytest.approx((0.3, 0.49))  # as far as environments can have it
     assert draws["gripper_z_mm"] == pytest.approx((-7.7, -7.5))
     assert draws["clearance_mm"] == pytest.approx((1.8, 2.0))
+    assert draws["hole_tilt_x_deg"] == pytest.approx((0.3, 0.5))
     assert draws["left_turn_deg"] == pytest.approx((0.3, 0.5))
     assert "gel_friction" not in draws
 

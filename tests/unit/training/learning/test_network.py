@@ -1,10 +1,12 @@
 """Networks: their gradients, what they learn, how they go on."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from vitac.training.learning.network import (
+    STATE,
     Layout,
     Learner,
     TrainingDiverged,
@@ -110,3 +112,15 @@ def test_everything_is_single_precision() -> None:
 def test_probabilities_do_not_overflow() -> None:
     found = probability(np.array([-1e4, 0.0, 1e4], dtype=np.float32))
     assert found.tolist() == [0.0, 0.5, 1.0]
+
+
+@pytest.mark.parametrize("are_drawn", [True, False])
+def test_images_are_drawn_where_they_could_have_been_played(are_drawn: bool) -> None:
+    random = np.random.default_rng(7)
+    inputs = random.uniform(1, 2, (200, len(STATE.mirror))).astype(np.float32)
+    actions = random.uniform(1, 2, (200, 3)).astype(np.float32)
+    signs = replace(STATE, are_drawn=are_drawn)
+    seen, chosen = signs.drawn(inputs, actions, np.ones(200, dtype=np.bool_), random)
+    assert (len(np.unique(np.sign(chosen), axis=0)), len(np.unique(np.sign(seen), axis=0))) == (
+        (4, 4) if are_drawn else (1, 1)
+    )

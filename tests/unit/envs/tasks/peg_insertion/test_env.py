@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from fake_scene import FakeScene
 from vitac.envs.assets import AssetsMissing
+from vitac.envs.fem.scene.layout import placed
 from vitac.envs.fem.scene.scene import StepStatus
 from vitac.envs.tasks.definition import EndReason, Flags
 from vitac.envs.tasks.insertion.interface import PegOffset
@@ -53,6 +54,31 @@ def test_peg_and_plate_are_placed_as_the_offset_says(physics: list[FakeScene]) -
     assert (peg.friction, plate.friction, peg.fixed, plate.fixed) == (9.5, 0.5, False, True)
     assert (plate.translation_m == 0).all()
     assert (plate.rotation == np.eye(3)).all()
+
+
+def test_tilted_parts_turn_about_the_grasp_and_the_middle_of_the_plate(physics: list[FakeScene]) -> None:
+    played(options={"shape": "cuboid", "offset_mm_deg": (0, 0, 10)}, peg_tilt_deg=2.0, hole_tilt_x_deg=-3.0)
+    peg, plate = physics[0].bodies
+    turn, tilt = np.radians((10.0, 2.0))
+    # Its upper end leans towards the gripper's own x axis.
+    upwards = [np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)]
+    assert peg.rotation[:, 2] == pytest.approx(upwards)
+    grasp_m = np.mean([gel.translation_m for gel in physics[0].gels], axis=0)
+    assert peg.rotation.T @ (grasp_m - peg.translation_m) == pytest.approx([0, 0, 0.042])
+    assert plate.rotation[:, 2] == pytest.approx([0.0, np.sin(np.radians(3.0)), np.cos(np.radians(3.0))])
+    assert placed(np.array([[0.0, 0.0, 0.02]]), plate)[0] == pytest.approx([0.0, 0.0, 0.02])
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_tilted_peg_is_grasped_free_of_the_tilted_plate(physics: list[FakeScene], seed: int) -> None:
+    random = np.random.default_rng(seed)
+    names = ("peg_tilt_deg", "hole_tilt_x_deg", "hole_tilt_y_deg")
+    tilts = {name: float(random.choice([-3.0, 3.0, random.uniform(-3, 3)])) for name in names}
+    offset = tuple(random.choice([-1, 1], 3) * (12, 12, 15))
+    played(options={"shape": "cuboid", "offset_mm_deg": offset}, **tilts)
+    peg, plate = physics[0].bodies
+    above_m = (placed(peg.mesh.vertices_m, peg) - (0, 0, 0.02)) @ plate.rotation[:, 2]
+    assert above_m.min() == pytest.approx(1e-4, rel=1e-2)
 
 
 def test_grasp_centre_follows_the_gripper_offsets(physics: list[FakeScene]) -> None:
