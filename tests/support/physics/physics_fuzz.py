@@ -40,7 +40,7 @@ from vitac.envs.tasks.task_env import TactileTaskEnv
 
 PEG, LOCK, MOVING, EXPLORE, TURN, SLIP, PLUG = "peg", "lock", "moving", "explore", "turn", "slip", "plug"
 ASSEMBLY, TILTED = "assembly", "tilted"
-TASKS = (PEG, TILTED, LOCK, MOVING, EXPLORE, TURN, SLIP, PLUG, ASSEMBLY)
+TASKS = (PEG, LOCK, MOVING, EXPLORE, TURN, SLIP, PLUG, ASSEMBLY, TILTED)
 ENV_STEPS = 8
 
 
