@@ -5,10 +5,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 from vitac.envs.fem.model.settings import ContactModel
-from vitac.envs.tasks.peg_insertion.definition import TASK
+from vitac.envs.tasks.registry import task_definitions
 from vitac.envs.tasks.settings import Fidelity
 from vitac.evaluator.strict_model import StrictModel, read_yaml
 
+from .episodes import ENV_ID
 from .learning.critic import Count, CriticPlan
 from .learning.student import AssessorPlan, StudentPlan
 
@@ -61,7 +62,8 @@ class Recipe(StrictModel):
 
         It is not where something lies to one side in all of them, such as the grasp of one station.
         """
-        sided = {quantity.name: self.draws.get(quantity.name) for quantity in TASK.quantities if quantity.two_sided}
+        quantities = task_definitions()[ENV_ID].quantities
+        sided = {quantity.name: self.draws.get(quantity.name) for quantity in quantities if quantity.two_sided}
         return all(
             (limits is None or sum(limits) == 0.0) and sided.get(name.replace("left_", "right_")) == limits
             for name, limits in sided.items()

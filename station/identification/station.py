@@ -6,8 +6,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.geometry.pegs import CLEARANCE_MM
-from vitac.envs.tasks.insertion.interface import INSERTION_QUANTITIES
 from vitac.envs.tasks.quantities import CAMERA_MOUNT_QUANTITIES
+from vitac.envs.tasks.registry import task_definitions
 from vitac.evaluator.strict_model import StrictModel
 
 from ..description import StagePose, TwinMark
@@ -21,6 +21,7 @@ from .probes import ProbeKind, Probing, play_probes
 
 _QUANTILE: Final = 1.96
 _RELAXATIONS_S: Final = np.geomspace(0.2, 6.0, 40)
+_ENV_ID: Final = "ViTac/PegInsertion-v1"
 _SMALLEST_RATIO: Final = 0.005
 _UNSEEN: Final = (
     "a print that is shifted or turned as a whole: it looks like a camera that is",
@@ -196,7 +197,7 @@ def _draws(estimates: dict[str, Estimate]) -> dict[str, tuple[float, float]]:
         "hole_tilt_y_deg": ("plate_tilt_y_deg", 1.0, 0.0),
         **{quantity.name: (quantity.name, 1.0, 0.0) for quantity in CAMERA_MOUNT_QUANTITIES},
     }
-    ranges = {quantity.name: quantity.range for quantity in INSERTION_QUANTITIES}
+    ranges = {quantity.name: quantity.range for quantity in task_definitions()[_ENV_ID].quantities}
     draws = {}
     for quantity, (name, factor, offset) in names.items():
         estimate = estimates[name]
