@@ -17,7 +17,7 @@ WAYS: dict[str, Callable[[Any], Any]] = {
     "pickle": lambda env: pickle.loads(pickle.dumps(env)),  # noqa: S301 - what was just pickled
     "cloudpickle": lambda env: cloudpickle.loads(cloudpickle.dumps(env)),
 }
-BEFORE, AFTER = 2, 2
+BEFORE, AFTER = 1, 1
 EVERYTHING: dict[str, Any] = {
     "privileged": True,
     "optional_observables": ("rgb_images",),
@@ -64,15 +64,15 @@ def begun(env: Any) -> Any:
 @pytest.mark.parametrize("env_id", EACH_ENVIRONMENT)
 def test_copies_go_on_with_the_same_bits(env_id: str) -> None:
     env = begun(gymnasium.make(env_id, **EVERYTHING).unwrapped)
-    picture = env.render()
+    picture, state = env.render(), env.state_hash()
     twin, other = WAYS["pickle"](env), WAYS["deepcopy"](env)
     expected = continued(env)
     assert continued(twin) == expected
     assert twin.state_hash() == env.state_hash()
     # All others have moved since; this one was made before, too, and is where it was.
+    assert other.state_hash() == state
     if picture is not None:
         assert np.array_equal(other.render(), picture)
-    assert continued(other) == expected
 
 
 @pytest.mark.slow

@@ -1,6 +1,6 @@
 """A trajectory has the same bits in another process, however that differs from this one.
 
-That it repeats in one process and in four at once is in `test_environments`.
+That it repeats in four at once is in `test_environments`, and that it stays what it was in `test_golden_states`.
 """
 
 import json

@@ -13,8 +13,8 @@ from vitac.envs.tasks.making import ForkedVectorEnv, NumericInfos
 from vitac.envs.tasks.task_env import ActionError
 
 KINDS = {"sync": SyncVectorEnv, "async": AsyncVectorEnv, None: ForkedVectorEnv}
-COPIES = 4
-SEEDS = 8
+COPIES = 2
+SEEDS = 2
 ARGUMENTS: dict[str, Any] = {"max_steps": 1, "observation_keys": ("marker_flow",)}
 
 
@@ -64,12 +64,12 @@ def test_all_kinds_play_the_same_episodes_through_autoreset(env_id: str) -> None
 
 @pytest.mark.slow
 @pytest.mark.parametrize("env_id", EACH_ENVIRONMENT)
-def test_infos_have_one_shape_through_two_hundred_steps_of_mixed_shapes(env_id: str) -> None:
+def test_infos_have_one_shape_through_thirty_steps_of_mixed_shapes(env_id: str) -> None:
     shapes: dict[str, set[tuple[int, ...]]] = {}
     played_shapes: set[float] = set()
     arguments = {"privileged": True, "observation_keys": ("shape",)}
     with vector(env_id, "sync", 1, **arguments) as env:
-        for observation, *_, info in played(env, 5, 200):
+        for observation, *_, info in played(env, 5, 30):
             played_shapes.update(observation["shape"].ravel().tolist())
             for key, value in info.items():
                 shapes.setdefault(key, set()).add(value.shape)

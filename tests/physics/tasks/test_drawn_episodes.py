@@ -22,7 +22,7 @@ def task(request: pytest.FixtureRequest) -> Task:
 
 
 def actions_of(env: Any) -> np.ndarray:
-    return np.random.default_rng(2).uniform(-0.5, 0.5, (3, *env.action_space.shape)).astype(np.float32)
+    return np.random.default_rng(2).uniform(-0.5, 0.5, (2, *env.action_space.shape)).astype(np.float32)
 
 
 def test_recorded_actions_give_the_same_states_and_draws_in_another_environment(task: Task) -> None:
