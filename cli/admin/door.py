@@ -55,10 +55,13 @@ def open_door(context: typer.Context, server: str | None, token_file: Path | Non
     if address is not None:
         yield Door(client=make_client(address, token_file))
         return
-    from vitac.server.api.app import create_app
-    from vitac.server.principals import CONSOLE
+    from ..service.web_server import no_collections
 
-    from ..service.database import open_for_command
+    with no_collections():
+        from vitac.server.api.app import create_app
+        from vitac.server.principals import CONSOLE
+
+        from ..service.database import open_for_command
 
     with open_for_command() as services:
         app = create_app(services.settings, services, caller=CONSOLE)

@@ -90,6 +90,7 @@ def test_each_role_sees_its_pages_without_a_barrier(
     page: Page, service: CliService, secrets: dict[str, str], role: str
 ) -> None:
     complaints = Complaints(page)
+    page.emulate_media(reduced_motion="reduce")  # else the front page plays: scenes have tests of their own
     resize(page, DESK)
     if role != "visitor":
         page.goto(f"{service.address}/sign-in")

@@ -47,7 +47,9 @@ def picture(canvas: Locator) -> Image.Image:
     return Image.open(io.BytesIO(canvas.screenshot())).convert("RGB")
 
 
-def test_gels_are_turned_by_keys_and_nothing_is_against_accessibility(page: Page, site: SiteUnderTest) -> None:
+def test_gels_are_turned_by_keys_fit_a_phone_and_nothing_is_against_accessibility(
+    page: Page, site: SiteUnderTest
+) -> None:
     site.open(page, address(site, beside=True))
     canvases = page.locator("canvas.scene")
     expect(canvases).to_have_count(2)
@@ -59,6 +61,9 @@ def test_gels_are_turned_by_keys_and_nothing_is_against_accessibility(page: Page
         page.keyboard.press("ArrowRight")
     assert picture(canvases.first).tobytes() != before.tobytes()
     assert violations(page) == []
+    resize(page, PHONE)
+    wait_for_rest(page)
+    assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
 
 
 def test_gel_is_a_still_drawing_without_webgl(page: Page, site: SiteUnderTest) -> None:
@@ -67,11 +72,3 @@ def test_gel_is_a_still_drawing_without_webgl(page: Page, site: SiteUnderTest) -
     expect(page.locator(".player-status").first).to_contain_text("no WebGL")
     expect(page.locator("svg.still polygon").first).to_be_visible()
     expect(page.locator("canvas.scene").first).to_be_hidden()
-
-
-def test_page_fits_a_phone(page: Page, site: SiteUnderTest) -> None:
-    resize(page, PHONE)
-    site.open(page, address(site, beside=True))
-    expect(page.locator("canvas.scene")).to_have_count(2)
-    wait_for_rest(page)
-    assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]

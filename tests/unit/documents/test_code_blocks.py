@@ -36,6 +36,7 @@ NOT_RUN = {
     r"--station\b": "plays trials on a twin for minutes; tests/unit/station/test_trial.py does",
     r"vitac gap\b": "needs trials; tests/unit/cli/test_gap.py makes some",
     r"--remote\b|remote connect": "needs a policy server or a gate; tests/integration/remote has those of packages",
+    r"vitac check examples/track_3_dome": "measures the sensor too; tests/integration/sandbox/test_sensor.py does",
     r"vitac sensor evaluate\b": "plays many episodes; tests/unit/cli/test_sensor.py does",
     r"first/|first$|check first\b|submit first\b": "needs the challenge's STL file; a dome is checked in its place",
     r"--out (episode.webp|frames)": "draws many pictures; tests/unit/cli/show does",
@@ -78,6 +79,10 @@ REPLACED = {
     "--episodes 1:12": "--episodes 1:2",
     "--successes 200": "--successes 4",
     "--successes 290": "--successes 4",
+    "--out taught --processes 2": "--out taught",
+    "simulation.json": "result.json",
+    "examples/track_3_dome/Track_3": "my_sensor",
+    "dome.png": "sensor.png",
 }
 DOCS = Path(__file__).parents[3] / "docs"
 MAIN = "from vitac.cli.main import main; main()"

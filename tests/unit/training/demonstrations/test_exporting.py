@@ -101,16 +101,16 @@ def test_demonstrations_of_the_tasks_of_arena_2_replay_by_hash_after_a_round_tri
 
 
 @pytest.mark.slow
-def test_fifty_random_demonstrations_replay_by_hash_after_a_round_trip(tmp_path: Path) -> None:
+def test_random_demonstrations_replay_by_hash_after_a_round_trip(tmp_path: Path) -> None:
     played = 0
-    for task, successes in ((TASK, 25), ("peg-insertion", 25), ("fusion-insertion", 2)):
+    for task, successes in ((TASK, 6), ("peg-insertion", 6), ("fusion-insertion", 2)):
         collection = collect(task, tmp_path / "collection", successes=successes, processes=2)
         keys = ["rgb_picture"] if task == "fusion-insertion" else list(KEYS)
         export(collection, tmp_path / task, DatasetFormat.LEROBOT_3_0, keys=keys, processes=2, report=nothing)
         assert run("data", "check", tmp_path / task, "--replay", 1) == 0
         source, demonstrations = read_folder(tmp_path / task)
         played += len(replay(source, demonstrations, count=25, seed=1, processes=2, report=nothing))
-    assert played > 50
+    assert played > 12
 
 
 def test_card_says_where_it_comes_from(collection: Path, capsys: pytest.CaptureFixture[str]) -> None:
