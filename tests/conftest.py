@@ -71,9 +71,15 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave slow tests out of the whole suite; they run where tests are chosen by file, keyword or marker, as in CI.
 
-    Those that take minutes begin first, so that none of them runs alone at the end.
+    Those that take minutes begin first, so that none of them runs alone at the end, then those of the worker, which
+    wait half of the time while others compute.
     """
-    items.sort(key=lambda item: -max((mark.kwargs.get("minutes", 0) for mark in item.iter_markers("slow")), default=0))
+
+    def place(item: pytest.Item) -> tuple[int, bool]:
+        minutes = max((mark.kwargs.get("minutes", 0) for mark in item.iter_markers("slow")), default=0)
+        return -minutes, not item.nodeid.startswith("tests/unit/worker/")
+
+    items.sort(key=place)
     option = config.option
     if option.file_or_dir or option.keyword or option.markexpr:
         return

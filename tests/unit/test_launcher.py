@@ -220,20 +220,30 @@ def test_data_sets_bring_what_writes_them_but_collecting_does_not(
     assert checkout.calls == ["venv", *(f"pip {lock}.lock" for lock in locks)]
 
 
+OWN_RULES = {"show", "serve", "demo", "witness"}
+NEED_BASE = [noun.name for noun in NOUNS if noun.extra in {None, "data"} and noun.name not in OWN_RULES]
+"""Collecting data sets needs no more."""
+
+
+def test_commands_of_participants_bring_neither_server_nor_database(checkout: Checkout) -> None:
+    for noun in NEED_BASE:
+        checkout.run(str(checkout.root / "vitac"), noun, "word")
+    assert checkout.calls == ["venv", "pip base.lock"]
+
+
 @pytest.mark.parametrize(
     "noun",
-    [noun for noun in NOUNS if noun.name not in {"show", "serve", "demo", "witness"}],
+    [noun for noun in NOUNS if noun.name not in {*OWN_RULES, *NEED_BASE}],
     ids=lambda noun: noun.name,
 )
-def test_only_commands_of_the_service_bring_server_and_database(checkout: Checkout, noun: Noun) -> None:
+def test_commands_bring_what_their_extra_needs(checkout: Checkout, noun: Noun) -> None:
     checkout.run(str(checkout.root / "vitac"), noun.name, "word")
     wanted = {
-        None: ["pip base.lock"],
-        "data": ["pip base.lock"],  # collecting needs no more
         "server": ["pip server.lock"],
         "station": ["pip base.lock", "pip station.lock"],
         "worker": ["pip server.lock", "pip show.lock"],
     }
+    assert noun.extra is not None
     assert checkout.calls == ["venv", *wanted[noun.extra]]
 
 
@@ -552,24 +562,11 @@ def test_refuses_to_run_policies_without_a_sandbox(checkout: Checkout, tmp_path:
     assert "apt-get install bubblewrap" in ran.stderr
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        "status",
-        "log show",
-        "serve",
-        "doctor",
-        "sensor evaluate",
-        "admin appeal replay",
-        "",
-        "evaluate folder",
-        "check folder",
-        "log match",
-    ],
-)
-def test_other_commands_run_without_a_sandbox(checkout: Checkout, tmp_path: Path, words: str) -> None:
+def test_other_commands_run_without_a_sandbox(checkout: Checkout, tmp_path: Path) -> None:
     (tmp_path / "bin" / "bwrap").unlink()
-    assert checkout.run(str(checkout.root / "vitac"), *words.split()).returncode == 7
+    own = "status", "log show", "serve", "doctor", "sensor evaluate", "admin appeal replay", ""
+    for words in (*own, "evaluate folder", "check folder", "log match"):
+        assert checkout.run(str(checkout.root / "vitac"), *words.split()).returncode == 7, words
 
 
 def test_names_the_package_managers_own_command(checkout: Checkout, tmp_path: Path) -> None:

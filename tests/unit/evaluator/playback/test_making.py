@@ -33,6 +33,12 @@ from vitac.evaluator.tracks import find_task
 Recorded = Callable[..., EpisodeRecord]
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out the still, which takes two seconds."""
+    monkeypatch.setattr(making, "can_draw", lambda: False)
+
+
 def an_order(record: EpisodeRecord, folder: Path) -> PlaybackOrder:
     track, _ = find_task(record.task)
     return PlaybackOrder(track=track.name, record=record, folder=folder)
@@ -48,6 +54,7 @@ def messages(order: PlaybackOrder) -> list[dict[str, Any]]:
     return [json.loads(line) for line in answers.getvalue().splitlines()]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_files_show_the_recorded_actions(recorded: Recorded, tmp_path: Path) -> None:
     record = recorded(env_steps=2)
     make(an_order(record, tmp_path), ignore)
@@ -57,6 +64,7 @@ def test_the_files_show_the_recorded_actions(recorded: Recorded, tmp_path: Path)
     assert not (tmp_path / CAMERAS_FILE).exists()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_episode_with_cameras_has_a_file_of_their_pictures(recorded: Recorded, tmp_path: Path) -> None:
     make(an_order(recorded(env_steps=1, task_name="fusion-insertion"), tmp_path), ignore)
     assert unpack((tmp_path / CAMERAS_FILE).read_bytes()).arrays["colours"].shape[0] == 2
@@ -114,6 +122,7 @@ def test_the_start_is_the_recorded_one_with_the_seed_of_the_list(recorded: Recor
     assert find_start(task, recorded(number=7), list_seed=5).list_seed == 5
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_progress_and_end_are_told_line_by_line(recorded: Recorded, tmp_path: Path) -> None:
     told = messages(an_order(recorded(env_steps=2), tmp_path))
     assert [message["env_steps"] for message in told[:-1]] == [0, 1, 2]
