@@ -24,27 +24,14 @@ def vitac(*arguments: str, state: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
-def result_hash(output: str) -> str:
-    return next(line.split()[-1] for line in output.splitlines() if "Result hash" in line)
-
-
-@pytest.fixture
-def example(repository: Path) -> Path:
-    return repository / "examples" / "peg_insertion_heuristic"
-
-
 @pytest.mark.slow
-def test_the_example_reaches_the_leaderboard_and_stays_in_the_store(example: Path) -> None:
-    state = state_directory()
-    first = vitac("demo", "--exit", "--submission", str(example), state=state)
-    assert first.returncode == 0, first.stdout + first.stderr
-    assert "270 of 270 episodes" in first.stdout
-    row = next(line for line in first.stdout.splitlines() if line.split()[:2] == ["1", "demo"])
+def test_the_example_reaches_the_leaderboard(repository: Path) -> None:
+    example = repository / "examples" / "peg_insertion_heuristic"
+    ran = vitac("demo", "--exit", "--submission", str(example), state=state_directory())
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert "270 of 270 episodes" in ran.stdout
+    row = next(line for line in ran.stdout.splitlines() if line.split()[:2] == ["1", "demo"])
     assert "●" in row
-    second = vitac("demo", "--exit", "--submission", str(example), state=state)
-    assert second.returncode == 0, second.stdout + second.stderr
-    assert "all 270 episodes reused" in second.stdout
-    assert result_hash(second.stdout) == result_hash(first.stdout)
 
 
 @pytest.mark.slow

@@ -86,7 +86,7 @@ def play(station: OpenStation, tmp_path: Path) -> Callable[..., tuple[Attempt, S
 Play = Callable[..., tuple[Attempt, Scripted]]
 
 
-@pytest.mark.slow
+@pytest.mark.slow(minutes=2)  # the file, which one process plays
 def test_peg_that_goes_to_its_hole_passes_the_push_test_and_is_lifted(play: Play, station: OpenStation) -> None:
     attempt, session = play(to_the_hole)
     assert attempt.outcome is TrialOutcome.SUCCESS, attempt.reason

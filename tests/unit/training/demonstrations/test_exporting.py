@@ -89,8 +89,8 @@ def test_another_action_is_found_by_its_state(collection: Path, tmp_path: Path) 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("task", ["moving-hole", "explore", "in-hand-turn", "slip"])
-def test_demonstrations_of_the_tasks_of_arena_2_replay_by_hash_after_a_round_trip(task: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("task", ["explore", "slip"])
+def test_demonstrations_of_tasks_of_arena_2_replay_by_hash_after_a_round_trip(task: str, tmp_path: Path) -> None:
     """Two of the expert's own, and two with noise."""
     collection = collect(task, tmp_path / "collection", successes=4, processes=1)
     export(collection, tmp_path / "set", DatasetFormat.LEROBOT_3_0, processes=1, report=nothing)
