@@ -118,6 +118,7 @@ _FIGURES = (
         15.28,
         {"largest_bend_mm": 1.0652},
     ),
+    _Figures("cable_end", "cable-end", "cable_end_scripted", {"cable": (36, 84)}, 14.64, {"largest_bend_mm": 1.1792}),
     _Figures(
         "assembly",
         "assembly",

@@ -69,6 +69,9 @@ PICTURES: Mapping[str, Sequence[Picture]] = {
         ),
     ),
     "soft-plug": (_scene("soft-plug", "A gripper whose two gels hold a soft plug, bent above a plate with a hole"),),
+    "cable-end": (
+        _scene("cable-end", "A gripper whose two gels hold a cable by its boot, bent above a plate with a hole"),
+    ),
     "assembly": (
         _scene(
             "assembly", "A gripper whose two gels hold a part by its head, its two lugs in a socket that is cut open"

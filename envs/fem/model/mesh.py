@@ -456,6 +456,8 @@ class GelBody:
         material: its name, for contact models with friction coefficients by pair of materials.
         viscosity: branches beside the elasticity, whose constants are those of a gel at rest; for hexahedra.
         yeoh: C20 and C30 over C10, see `elastic.yeoh`; for hexahedra.
+        stiffening: factor of Young's modulus of each hexahedron, shape [c], in an elastic part of several materials;
+            None for one.
         motion: where its driven nodes are at a time [s] after the scene was built, from where they were placed [m],
             shape [3]; None where they stay or a gripper moves them. It can be pickled.
     """
@@ -470,6 +472,7 @@ class GelBody:
     material: str = GEL_MATERIAL
     viscosity: tuple[PronyBranch, ...] = ()
     yeoh: tuple[float, float] = (0.0, 0.0)
+    stiffening: FloatArray | None = None
     motion: Callable[[float], FloatArray] | None = None
 
 

@@ -145,7 +145,10 @@ def _build_hexahedra(gels: tuple[GelBody, ...], of_gels: GelLayout, time_step_s:
     blocks = [gel.mesh.blocks for gel in gels]
     counts = [len(gel.mesh.hexahedra) for gel in gels]
     lame_pa = np.array([lame_parameters_pa(gel.youngs_modulus_pa, gel.poisson_ratio) for gel in gels])
-    mu_pa, lambda_pa = np.repeat(lame_pa, counts, axis=0).T
+    stiffening = np.concatenate(
+        [np.ones(count) if gel.stiffening is None else gel.stiffening for gel, count in zip(gels, counts, strict=True)]
+    )
+    mu_pa, lambda_pa = stiffening * np.repeat(lame_pa, counts, axis=0).T
     stabilisation = [
         stabilisation_n_m(block.volume_m3, block.size_m, gel.youngs_modulus_pa, gel.poisson_ratio)
         for block, gel in zip(blocks, gels, strict=True)
@@ -156,7 +159,7 @@ def _build_hexahedra(gels: tuple[GelBody, ...], of_gels: GelLayout, time_step_s:
         volume_m3=np.concatenate([block.volume_m3 for block in blocks]),
         mu_pa=np.ascontiguousarray(mu_pa),
         lambda_pa=np.ascontiguousarray(lambda_pa),
-        stabilisation_n_m=np.concatenate(stabilisation),
+        stabilisation_n_m=stiffening[:, None] * np.concatenate(stabilisation),
         viscous_pa=build_branches(gels, time_step_s).modulus_pa.sum(axis=0),
         yeoh_pa=yeoh_pa(gels),
         places=of_gels.hexahedron_places,

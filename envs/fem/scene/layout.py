@@ -90,6 +90,12 @@ def check_bodies(gels: Sequence[GelBody], bodies: Sequence[RigidBody]) -> None:
                 f"lock: at {_LOCKING_POISSON_RATIO} a ball presses 1.7 times as hard as into the continuum; mesh it by "
                 "hexahedra or give it a smaller one."
             )
+        cells = len(gel.mesh.hexahedra)
+        if gel.stiffening is not None and not (gel.stiffening.shape == (cells,) and (gel.stiffening > 0.0).all()):
+            raise SceneError(
+                f"stiffening of {name} has shape {gel.stiffening.shape}, expected a positive number for each of the "
+                f"{cells} hexahedra of {gel.mesh.name}."
+            )
         if gel.motion is not None and gel.mesh.is_free:
             raise SceneError(f"{name} has a motion, but {gel.mesh.name} has no driven nodes that it could move.")
         for branch in gel.viscosity:

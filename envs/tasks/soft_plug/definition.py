@@ -1,5 +1,9 @@
-"""The soft plug as others need to know it: actions, observables, measure, how it is drawn; light to import."""
+"""The soft plug and the cable's end as others need to know them: actions, observables, measure, how they are drawn.
 
+Light to import.
+"""
+
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -39,7 +43,7 @@ class HasPlug(Protocol):
         """Return the middle of the plug's lower face [mm], shape (3,)."""
 
     def bend_mm(self) -> float:
-        """Return how far the plug's lower end is beside where the gripper holds it [mm]."""
+        """Return how far the plug's lower end or its neck is beside where the gripper holds it [mm]."""
 
 
 _OWN: tuple[Observable[HasPlug], ...] = (
@@ -79,7 +83,7 @@ BEND = Measure(
 )
 """Largest distance of the plug's lower end from below the gripper at the ends of the env steps so far [mm]."""
 
-TASK = TaskDefinition(
+PLUG_TASK = TaskDefinition(
     env_id="ViTac/SoftPlug-v1",
     environment="vitac.envs.tasks.soft_plug.env:SoftPlugEnv",
     actions=(
@@ -103,6 +107,21 @@ TASK = TaskDefinition(
     quantities=(*TOUCH_QUANTITIES, *PLUG_QUANTITIES),
     info_lengths={"heights_mm": 4},
 )
+
+_SHAPE = played_shape("cable")
+CABLE_TASK = replace(
+    PLUG_TASK,
+    env_id="ViTac/CableEnd-v1",
+    environment="vitac.envs.tasks.soft_plug.env:CableEndEnv",
+    observables=tuple(_SHAPE if entry.name == _SHAPE.name else entry for entry in PLUG_TASK.observables),
+    measures=(
+        replace(BEND, meaning="largest sideways motion of the connector's lower end or of the boot's neck"),
+        SURFACE_DIFF,
+    ),
+    perspective="vitac.envs.tasks.soft_plug.definition:CABLE_PERSPECTIVE",
+)
+
+TASKS = (PLUG_TASK, CABLE_TASK)
 
 
 def _position(info: InfoView) -> str:
@@ -134,4 +153,13 @@ PERSPECTIVE = Perspective(
     ),
     position=_position,
     arrival="was plugged in",
+)
+
+CABLE_PERSPECTIVE: Perspective = replace(
+    PERSPECTIVE,
+    held_name="cable end",
+    section=replace(
+        PERSPECTIVE.section, title="cable end and hole from the side", limits_mm=((-36.0, 36.0), (-11.0, 48.0))
+    ),
+    progress=replace(PERSPECTIVE.progress, title="connector above rim [mm]"),
 )

@@ -10,8 +10,8 @@ from ...scene.perspective import ActionArray
 from ..definition import Flags, surface_moved_too_far
 from ..settings import choice, drawn_shape, numbers, refusal
 from ..task_env import Info, Observation, TactileTaskEnv
-from .definition import SUCCESS_DEPTH_MM, TASK
-from .scene import PlugShape, SoftPlugScene, SoftPlugSettings, SoftPlugStart, plate_mesh
+from .definition import CABLE_TASK, PLUG_TASK, SUCCESS_DEPTH_MM
+from .scene import CableEndSettings, CableShape, PlugShape, SoftPlugScene, SoftPlugSettings, SoftPlugStart, plate_mesh
 
 SHAPE, OFFSET = "shape", "offset_mm"
 LARGEST_XY_MM = 8.0
@@ -42,16 +42,22 @@ class SoftPlugEnv(TactileTaskEnv[SoftPlugScene, SoftPlugSettings]):
     Keyword arguments: those of `TactileTaskEnv`, and fields of `SoftPlugSettings`.
     """
 
-    task: ClassVar = TASK
+    task: ClassVar = PLUG_TASK
     settings_type: ClassVar = SoftPlugSettings
-    shape_type: ClassVar = PlugShape
+    shape_type: ClassVar[type[PlugShape | CableShape]] = PlugShape
     option_names: ClassVar[tuple[str, ...]] = (SHAPE, OFFSET)
 
     def _solids(self) -> list[SurfaceMesh]:
-        return [plate_mesh(shape, self.settings.interference_mm) for shape in PlugShape]
+        return [plate_mesh(shape, self.settings.interference_mm) for shape in self.shape_type]
 
     def _start(self, options: dict[str, Any], random: np.random.Generator) -> SoftPlugScene:
-        start = choose_start(options, random, env_id=self.env_id, shapes=self._shapes, xy_mm=self.settings.random_xy_mm)
+        start = choose_start(
+            options,
+            random,
+            env_id=self.env_id,
+            shapes=self._shapes,
+            xy_mm=self.settings.random_xy_mm,
+        )
         settings = self._settings_of_episode(random)
         return SoftPlugScene(start=start, meshes=self._meshes, settings=settings, clocks=self._clocks)
 
@@ -97,8 +103,32 @@ class SoftPlugEnv(TactileTaskEnv[SoftPlugScene, SoftPlugSettings]):
         }
 
 
+class CableEndEnv(SoftPlugEnv):
+    """Push a cable's connector into its hole by touch alone, without crushing it or letting its boot buckle.
+
+    As `ViTac/SoftPlug-v1`, from which it differs so: what is held is a boot of rubber, whose neck of 3 mm carries a
+    hard connector, and the hole is wider than the connector. Pressed on the plate the neck bends or buckles.
+
+    Reset options: `shape` ("cable"), `offset_mm` (x, y of connector and gripper from the hole), and `rng_seed`.
+
+    Ends: as `ViTac/SoftPlug-v1`; the boot has buckled where the connector's lower end or the boot's neck is more than
+    2 mm beside where the gripper holds it; 20 env steps.
+
+    Keyword arguments: those of `TactileTaskEnv`, and fields of `CableEndSettings`.
+    """
+
+    task: ClassVar = CABLE_TASK
+    settings_type: ClassVar = CableEndSettings
+    shape_type: ClassVar = CableShape
+
+
 def choose_start(
-    options: dict[str, Any], random: np.random.Generator, *, env_id: str, shapes: tuple[PlugShape, ...], xy_mm: float
+    options: dict[str, Any],
+    random: np.random.Generator,
+    *,
+    env_id: str,
+    shapes: tuple[PlugShape | CableShape, ...],
+    xy_mm: float,
 ) -> SoftPlugStart:
     """Return the start given by the options; what they leave open is drawn: shape, then x and y.
 
@@ -106,7 +136,7 @@ def choose_start(
         ResetOptionsError: an option is not a known plug or not a usable offset.
     """
     given = options.get(SHAPE)
-    shape = drawn_shape(shapes, random) if given is None else choice(env_id, SHAPE, given, PlugShape)
+    shape = drawn_shape(shapes, random) if given is None else choice(env_id, SHAPE, given, type(shapes[0]))
     drawn = [0.0, 0.0]
     while not accepts_start(shape, drawn):
         drawn = (xy_mm * random.uniform(-1.0, 1.0, 2)).tolist()
@@ -131,5 +161,5 @@ def move_over_then_push(_: Observation, info: Info) -> ActionArray:
     aside_mm = -info["gt_offset_mm"]
     far = float(np.abs(aside_mm).max()) > 0.2
     up_mm = _NEAR_MM - info["heights_mm"].min() if far else -1.0
-    action = np.append(aside_mm, max(0.0, up_mm) if far else up_mm) / np.array(TASK.action_scale)
+    action = np.append(aside_mm, max(0.0, up_mm) if far else up_mm) / np.array(PLUG_TASK.action_scale)
     return np.asarray(np.clip(action, -1.0, 1.0), dtype=np.float32)

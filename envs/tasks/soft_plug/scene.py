@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import Meshes
-from ...fem.model.mesh import PART_MATERIAL, GelBody, GelMesh, SurfaceMesh
+from ...fem.model.mesh import PART_MATERIAL, GelBody, GelMesh, PronyBranch, SurfaceMesh
 from ...geometry.solid import Face, at_height, rectangle, solid_from_faces, walls_between
 from ...scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings, fixed_at_origin
 from ...scene.gripper import UPRIGHT_MOUNTS, Gripper, GripperPose
@@ -15,9 +16,10 @@ from ...tactile.gel import GelCells, GelDimensions, highest_mm, structured_gel
 from ...tactile.markers import MarkerSettings
 from ..quantities import check_quantities
 from ..settings import arena_physics, require
-from .definition import INTERFERENCE, MODULUS, PLUG_QUANTITIES, TASK
+from .definition import INTERFERENCE, MODULUS, PLUG_QUANTITIES, PLUG_TASK
 
 FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
 
 PLUG_HEIGHT_MM = 38.0
 CELLS = GelCells(x=3, y=3, bevel=0, layers=10, is_hexahedral=True)
@@ -28,7 +30,6 @@ PLATE_MM = rectangle(-30.0, 30.0, -30.0, 30.0)
 PLATE_THICKNESS_MM = 10.0
 # The hole is wider than the plug at the rim, and narrows down to its own width over this depth.
 MOUTH_MM, MOUTH_DEPTH_MM = 1.0, 2.0
-GRASP_HEIGHT_MM = 26.0
 # Free space below the plug and beside the gels when the scene is built.
 START_GAP_MM, GRASP_GAP_MM = 0.6, 0.1
 GRASP_STEPS = 2
@@ -43,7 +44,54 @@ class PlugShape(StrEnum):
     """8.5 mm, which buckles under half of the force."""
 
 
-WIDTH_MM = {PlugShape.STOPPER: 10.0, PlugShape.SLIM: 8.5}
+class CableShape(StrEnum):
+    """What is at the end of a cable."""
+
+    CABLE = "cable"
+    """A hard connector of 8.5 mm in a boot of rubber, which is held and has a neck of 3 mm below that."""
+
+
+class PlugForm(NamedTuple):
+    """Sides of a plug's cross-sections along its axis, squares with rounded corners.
+
+    Attributes:
+        width_mm: of its lower end, and of where it is held.
+        grasp_mm: height at which the gripper holds it.
+        levels_mm: height and width at each level of nodes; none for a straight plug with levels at equal distances.
+        hard_layers: layers of hexahedra that are hard, from the lower end.
+        neck: levels whose sideways motion is bending too, beside that of the lower end.
+        viscosity: of the rubber.
+    """
+
+    width_mm: float
+    grasp_mm: float
+    levels_mm: tuple[tuple[float, float], ...] = ()
+    hard_layers: int = 0
+    neck: range = range(0)
+    viscosity: tuple[PronyBranch, ...] = ()
+
+
+# The gels' rows of nodes are 0, 1.6, 3.6, 6.2 and 9.6 mm above and below the grasp. No level of nodes is near one of
+# them: there contacts change from one side of an edge to the other and back while the solver iterates.
+FORMS: dict[PlugShape | CableShape, PlugForm] = {
+    PlugShape.STOPPER: PlugForm(10.0, 26.0),
+    PlugShape.SLIM: PlugForm(8.5, 26.0),
+    CableShape.CABLE: PlugForm(
+        8.5,
+        31.9,
+        levels_mm=(
+            *((0.0, 8.5), (3.25, 8.5), (6.5, 8.5)),
+            *((8.0 + layer, 3.0) for layer in range(13)),
+            *((21.5, 8.5), (27.0, 8.5), (32.7, 8.5), (36.8, 8.5), (42.3, 8.5)),
+        ),
+        hard_layers=3,
+        neck=range(3, 16),
+        # Without it the neck snaps aside within one IPC step, far from the balance that Newton's method starts from.
+        viscosity=(PronyBranch(modulus_ratio=1.0, relaxation_time_s=0.3),),
+    ),
+}
+# Young's modulus of hard layers, in those of the rubber.
+HARDNESS = 50.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +116,7 @@ class SoftPlugSettings:
 
     max_steps: int = 24
     ipc_steps: int = 4
-    action_scale_mm: tuple[float, ...] = TASK.action_scale
+    action_scale_mm: tuple[float, ...] = PLUG_TASK.action_scale
     indentation_mm: float = 0.6
     plug_modulus_mpa: float = MODULUS.nominal
     interference_mm: float = INTERFERENCE.nominal
@@ -84,12 +132,22 @@ class SoftPlugSettings:
         require(self.max_steps >= 1, "max_steps", self.max_steps, "at least 1")
         require(1 <= self.ipc_steps <= 100, "ipc_steps", self.ipc_steps, "1 to 100")
         scale = self.action_scale_mm
-        usable = len(scale) == len(TASK.actions) and all(0 <= value <= 5 for value in scale)
+        usable = len(scale) == len(PLUG_TASK.actions) and all(0 <= value <= 5 for value in scale)
         require(usable, "action_scale_mm", scale, "three numbers of 0 to 5")
         require(0 < self.indentation_mm <= 2, "indentation_mm", self.indentation_mm, "0 to 2 mm, half the gel")
         check_quantities(self, PLUG_QUANTITIES)
         require(self.largest_bend_mm > 0, "largest_bend_mm", self.largest_bend_mm, "more than 0 mm")
         require(1.3 <= self.random_xy_mm <= 8, "random_xy_mm", self.random_xy_mm, "1.3 to 8 mm")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CableEndSettings(SoftPlugSettings):
+    """Those of the soft plug, with a hole that is wider than the connector."""
+
+    max_steps: int = 20
+    plug_modulus_mpa: float = 5.0
+    interference_mm: float = -0.2
+    largest_bend_mm: float = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,33 +160,44 @@ class SoftPlugStart:
         y_mm: plug beside its hole.
     """
 
-    shape: PlugShape
+    shape: PlugShape | CableShape
     x_mm: float
     y_mm: float
 
 
-def plug_mesh(shape: PlugShape) -> GelMesh:
+def plug_mesh(shape: PlugShape | CableShape) -> GelMesh:
     """Return the plug of this shape, its lower face at z = 0 and its axis along z."""
+    form = FORMS[shape]
     size = GelDimensions(
-        length_mm=WIDTH_MM[shape],
-        width_mm=WIDTH_MM[shape],
+        length_mm=form.width_mm,
+        width_mm=form.width_mm,
         thickness_mm=PLUG_HEIGHT_MM,
         bevel_height_mm=0.0,
         bevel_inset_mm=0.0,
     )
-    box = structured_gel(name=f"{shape} plug", size=size, cells=CELLS)
-    rest_m, half_m = box.rest_position_m.copy(), 0.5e-3 * WIDTH_MM[shape]
+    cells = replace(CELLS, layers=len(form.levels_mm) - 1) if form.levels_mm else CELLS
+    box = structured_gel(name=f"{shape} plug", size=size, cells=cells)
+    rest_m, half_m = box.rest_position_m.copy(), 0.5e-3 * form.width_mm
     across = rest_m[:, :2] / half_m
     # Squares become circles where the roundness is 1 (Nowell 2005).
     rest_m[:, :2] *= np.sqrt(1.0 - 0.5 * ROUNDNESS * across[:, ::-1] * across[:, ::-1])
     rest_m[:, 2] -= rest_m[:, 2].min()
+    for nodes_m, (height_mm, width_mm) in zip(np.split(rest_m, cells.layers + 1), form.levels_mm, strict=False):
+        nodes_m[:, :2] *= width_mm / form.width_mm
+        nodes_m[:, 2] = 1e-3 * height_mm
     return replace(box, rest_position_m=rest_m).released()
 
 
-def plate_mesh(shape: PlugShape, interference_mm: float) -> SurfaceMesh:
+def stiffening(shape: PlugShape | CableShape, mesh: GelMesh) -> FloatArray | None:
+    """Return by how much the cells of a plug are stiffer than its rubber, shape [c]; None where none is."""
+    hard_layers, layer = FORMS[shape].hard_layers, np.arange(len(mesh.hexahedra)) // (CELLS.x * CELLS.y)
+    return np.where(layer < hard_layers, HARDNESS, 1.0) if hard_layers else None
+
+
+def plate_mesh(shape: PlugShape | CableShape, interference_mm: float) -> SurfaceMesh:
     """Return the plate with the hole for a plug, its rim at z = 0."""
-    half_mm = 0.5 * WIDTH_MM[shape] - interference_mm
-    wide_mm = 0.5 * WIDTH_MM[shape] + MOUTH_MM
+    half_mm = 0.5 * FORMS[shape].width_mm - interference_mm
+    wide_mm = 0.5 * FORMS[shape].width_mm + MOUTH_MM
     loops = [
         at_height(rectangle(-half, half, -half, half), z_mm)
         for half, z_mm in ((wide_mm, 0.0), (half_mm, -MOUTH_DEPTH_MM), (half_mm, -PLATE_THICKNESS_MM))
@@ -159,13 +228,13 @@ class SoftPlugScene:
         self.shape, self.env_steps, self.largest_bend_mm = start.shape, 0, 0.0
         self._settings = settings
         self._start_mm = np.array([start.x_mm, start.y_mm, START_GAP_MM])
-        gel, plug = meshes.gel(), plug_mesh(start.shape)
+        gel, plug, form = meshes.gel(), plug_mesh(start.shape), FORMS[start.shape]
         pose = GripperPose(
             x_m=1e-3 * start.x_mm,
             y_m=1e-3 * start.y_mm,
-            z_m=1e-3 * (START_GAP_MM + GRASP_HEIGHT_MM),
+            z_m=1e-3 * (START_GAP_MM + form.grasp_mm),
             angle_rad=0.0,
-            half_opening_m=1e-3 * (0.5 * WIDTH_MM[start.shape] + highest_mm(gel) + GRASP_GAP_MM),
+            half_opening_m=1e-3 * (0.5 * form.width_mm + highest_mm(gel) + GRASP_GAP_MM),
         )
         self.grasped = GraspedScene(
             gripper=Gripper(mounts=UPRIGHT_MOUNTS, gel=gel, pose=pose),
@@ -176,6 +245,8 @@ class SoftPlugScene:
                 youngs_modulus_pa=1e6 * settings.plug_modulus_mpa,
                 poisson_ratio=POISSON_RATIO,
                 density_kg_m3=DENSITY_KG_M3,
+                stiffening=stiffening(start.shape, plug),
+                viscosity=form.viscosity,
                 material=PART_MATERIAL,
             ),
             fixed=fixed_at_origin(plate_mesh(start.shape, settings.interference_mm), friction=0.5),
@@ -185,6 +256,7 @@ class SoftPlugScene:
         )
         rest_m = self.grasped.held_surface.vertices_m
         self._lower_face = np.flatnonzero(rest_m[:, 2] == 0.0)
+        self._neck = [np.flatnonzero(rest_m[:, 2] == 1e-3 * form.levels_mm[level][0]) for level in form.neck]
         across = np.abs(rest_m[:, :2]).min(axis=1)
         self.measured_vertices = self._lower_face[across[self._lower_face] == across[self._lower_face].max()]
         self._start_pose = pose
@@ -217,10 +289,13 @@ class SoftPlugScene:
 
     def lower_end_mm(self) -> FloatArray:
         """Return the middle of the plug's lower face [mm], shape [3]."""
-        points: list[list[float]] = (1e3 * self.grasped.held_vertices_m(self._lower_face)).tolist()
-        return np.array([sum(column) / len(points) for column in zip(*points, strict=True)])
+        return self._middle_mm(self._lower_face)
 
     def bend_mm(self) -> float:
-        """Return how far the plug's lower end is beside where the gripper holds it [mm]."""
-        x, y = (self.lower_end_mm()[:2] - self.offset_mm()).tolist()
-        return float(np.sqrt(x * x + y * y))
+        """Return how far the plug's lower end or its neck is beside where the gripper holds it [mm]."""
+        aside_mm = [self._middle_mm(level)[:2] - self.offset_mm() for level in (self._lower_face, *self._neck)]
+        return max(float(np.sqrt(x * x + y * y)) for x, y in aside_mm)
+
+    def _middle_mm(self, vertices: IndexArray) -> FloatArray:
+        points: list[list[float]] = (1e3 * self.grasped.held_vertices_m(vertices)).tolist()
+        return np.array([sum(column) / len(points) for column in zip(*points, strict=True)])

@@ -7,11 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 from block_meshes import box_surface, hexahedral_box
+from numpy.typing import NDArray
 from scipy.optimize import brentq
 from small_scenes import IDENTITY, UPSIDE_DOWN, arena_contact, driven_positions_m
 from vitac.envs.fem.model.mesh import GelBody, MeshError, RigidBody
 from vitac.envs.fem.scene.layout import SceneError
 from vitac.envs.fem.scene.scene import Scene, StepReport, StepStatus
+
+FloatArray = NDArray[np.float64]
 
 SIZE_M, CELLS = (0.008, 0.007, 0.004), (4, 4, 2)
 GAP_M = 5e-5
@@ -253,3 +256,33 @@ def test_a_slim_column_buckles_under_the_load_of_theory() -> None:
     euler_n = 4.0 * np.pi**2 * youngs_modulus_pa * 1.5 * width_m**4 / 12.0 / length_m**2
     haringx_n = 0.5 * shear_n * (np.sqrt(1.0 + 4.0 * euler_n / shear_n) - 1.0)
     assert critical_n == pytest.approx(haringx_n, rel=0.1)
+
+
+def stretching_force_n(stiffening: FloatArray | None) -> float:
+    """Pull a bar of 8 cells between two driven ends by a thousandth of its length."""
+    bar = hexahedral_box((6e-3, 6e-3, 32e-3), (2, 2, 8))
+    ends = (bar.rest_position_m[:, 2] == 0.0) | (bar.rest_position_m[:, 2] > 31.9e-3)
+    pulled = GelBody(
+        mesh=replace(bar, driven=ends),
+        rotation=IDENTITY,
+        translation_m=np.zeros(3),
+        youngs_modulus_pa=1e6,
+        poisson_ratio=0.0,
+        stiffening=stiffening,
+    )
+    scene, targets_m = Scene(gels=[pulled], bodies=[], time_step_s=0.1), driven_positions_m(pulled)
+    upper = targets_m[:, 2] > 16e-3
+    scene.step(driven_targets_m=[targets_m + 3.2e-5 * upper[:, None] * np.array([0.0, 0.0, 1.0])])
+    return float(scene._workspace.system.gradient[pulled.mesh.driven_nodes][upper, 2].sum())
+
+
+def test_a_bar_of_two_materials_is_two_springs_in_a_row() -> None:
+    half_stiffer = np.where(np.arange(32) < 16, 4.0, 1.0)
+    assert stretching_force_n(None) == pytest.approx(1e6 * 36e-6 * 1e-3, rel=2e-3)
+    assert stretching_force_n(half_stiffer) == pytest.approx(1.6 * stretching_force_n(None), rel=2e-3)
+
+
+def test_stiffening_that_is_not_a_positive_number_for_each_hexahedron_is_refused() -> None:
+    for wrong in (np.ones(31), np.zeros(32)):
+        with pytest.raises(SceneError, match="expected a positive number for each of the 32 hexahedra"):
+            stretching_force_n(wrong)

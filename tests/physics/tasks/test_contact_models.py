@@ -15,7 +15,7 @@ from vitac.evaluator.tracks import list_tracks, load_track
 
 OF_ARENA = [
     *("ViTac/Assembly-v1", "ViTac/Explore-v1", "ViTac/InHandTurn-v1", "ViTac/MovingHole-v1", "ViTac/Slip-v1"),
-    "ViTac/SoftPlug-v1",
+    *("ViTac/SoftPlug-v1", "ViTac/CableEnd-v1"),
 ]
 
 

@@ -53,7 +53,8 @@ class Probe:
         self.memory: ContactMemory = scene._memory
         self.unknown_nodes: IndexArray = self.model.unknowns.node
         self.prescribed_nodes: IndexArray = np.flatnonzero(self.model.unknowns.slot == PRESCRIBED)
-        self._workspace: Workspace = new_workspace(self.model.system, len(self.x_m))
+        self._held_pa: FloatArray = scene._workspace.hexahedron.held_pa  # of viscous branches, in the step at hand
+        self._workspace: Workspace = new_workspace(self.model.system, len(self.x_m), len(self._held_pa))
 
     @cached_property
     def _places(self) -> tuple[IndexArray, IndexArray, IndexArray]:
@@ -89,6 +90,7 @@ class Probe:
         matrix = PROJECTED_MATRIX if projected else EXACT_MATRIX
         w = self._workspace
         w.system.prescribed_move[:] = move
+        w.hexahedron.held_pa[:] = self._held_pa
         start = StepStart(self.x_hat_m, y_start, self.memory, self.load_n.copy())
         # Dual variables of friction are those of the state only where it was not moved to from another one.
         for _ in range(2 if self.model.parameters.remembers_slip else 1):

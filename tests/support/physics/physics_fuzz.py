@@ -1,7 +1,8 @@
 """Random episodes at the bounds of what a policy may do, every IPC step checked.
 
-Usage: python tests/support/physics/physics_fuzz.py [--task peg|tilted|lock|moving|explore|turn|slip|plug|assembly]
-           [--first SEED] [--episodes N] [--past-end] [--eigenvalues] [--json FILE]
+Usage: python tests/support/physics/physics_fuzz.py
+           [--task peg|tilted|lock|moving|explore|turn|slip|plug|assembly|cable] [--first SEED]
+           [--episodes N] [--past-end] [--eigenvalues] [--json FILE]
 
 Prints every IPC step that was divided, did not converge or would not last, with the numbers that play it again.
 """
@@ -34,13 +35,13 @@ from vitac.envs.tasks.moving_hole.env import MovingHoleEnv
 from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
 from vitac.envs.tasks.slip.env import SlipEnv
 from vitac.envs.tasks.slip.scene import SlipShape
-from vitac.envs.tasks.soft_plug.env import SoftPlugEnv
+from vitac.envs.tasks.soft_plug.env import CableEndEnv, SoftPlugEnv
 from vitac.envs.tasks.soft_plug.scene import PlugShape
 from vitac.envs.tasks.task_env import TactileTaskEnv
 
 PEG, LOCK, MOVING, EXPLORE, TURN, SLIP, PLUG = "peg", "lock", "moving", "explore", "turn", "slip", "plug"
-ASSEMBLY, TILTED = "assembly", "tilted"
-TASKS = (PEG, LOCK, MOVING, EXPLORE, TURN, SLIP, PLUG, ASSEMBLY, TILTED)
+ASSEMBLY, TILTED, CABLE = "assembly", "tilted", "cable"
+TASKS = (PEG, LOCK, MOVING, EXPLORE, TURN, SLIP, PLUG, ASSEMBLY, TILTED, CABLE)
 ENV_STEPS = 8
 
 
@@ -105,6 +106,9 @@ def fuzzed_environment(task: str, random: np.random.Generator, assets_dir: Path 
     if task == PLUG:
         drawn = {"plug_modulus_mpa": (0.8, 4.0), "interference_mm": (-0.2, 0.2), "indentation_mm": (0.4, 0.8)}
         return SoftPlugEnv(assets_dir=assets_dir, draws=drawn)
+    if task == CABLE:
+        drawn = {"plug_modulus_mpa": (2.0, 6.0), "interference_mm": (-0.3, -0.1), "indentation_mm": (0.4, 0.8)}
+        return CableEndEnv(assets_dir=assets_dir, draws=drawn)
     if task == ASSEMBLY:
         return AssemblyEnv(assets_dir=assets_dir, draws={"gel_friction": (0.3, 1.5)})
     standard = lock_physics()
@@ -137,6 +141,9 @@ def start_options(task: str, random: np.random.Generator) -> dict[str, Any]:
     if task == PLUG:
         x, y = random.uniform(-3, 3, 2)
         return {"shape": str(random.choice(list(PlugShape))), "offset_mm": (float(x), float(y))}
+    if task == CABLE:
+        x, y = random.uniform(-3, 3, 2)
+        return {"offset_mm": (float(x), float(y))}
     if task == ASSEMBLY:
         offset = tuple(float(random.uniform(-largest, largest)) for largest in LARGEST_MM_DEG)
         return {"shape": str(random.choice(list(HeadShape))), "offset_mm_deg": offset}

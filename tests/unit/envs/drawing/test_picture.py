@@ -142,7 +142,7 @@ def test_gels_are_coloured_and_the_ground_is_light(peg_playback: EpisodePlayback
 
 def test_an_environment_without_a_view_is_refused(peg_playback: EpisodePlayback) -> None:
     other = replace(peg_playback, env_id="ViTac/Other-v1")
-    with pytest.raises(NotDrawable, match=r"views of ViTac/Assembly-v1, ViTac/Explore-v1, .*ViTac/PegInsertion-v1"):
+    with pytest.raises(NotDrawable, match=r"views of ViTac/Assembly-v1, ViTac/CableEnd-v1, .*ViTac/PegInsertion-v1"):
         painted(other)
 
 

@@ -77,6 +77,7 @@ def test_lengths_are_those_of_the_shape_with_the_most_corners() -> None:
         "ViTac/MovingHole-v1": {"peg_relative_z_mm": 8},
         "ViTac/Slip-v1": {"heights_mm": 6},
         "ViTac/SoftPlug-v1": {"heights_mm": 4},
+        "ViTac/CableEnd-v1": {"heights_mm": 4},
     }
     assert replace(task_definitions()[LOCK], info_lengths={"x": 2}).info_lengths == {"x": 2}
 

@@ -280,7 +280,7 @@ def test_unknown_environment_names_those_that_there_are(content: dict[str, objec
     content["tasks"]["peg-insertion"]["env_id"] = "ViTac/Peg-v1"  # type: ignore[index]
     with pytest.raises(
         DocumentRejected,
-        match=r"'ViTac/Peg-v1', expected one of ViTac/Assembly-v1, ViTac/Explore-v1, ViTac/FusionInsertion-v1",
+        match=r"'ViTac/Peg-v1', expected one of ViTac/Assembly-v1, ViTac/CableEnd-v1, ViTac/Explore-v1",
     ):
         parse(content)
 
@@ -307,6 +307,7 @@ def test_tracks_of_a_folder_stand_beside_ours(further: Path, content: dict[str, 
     assert find_task("my-peg")[0].name == "mine"
     assert archive_folders() == (
         "Assembly",
+        "CableEnd",
         "Explore",
         "InHandTurn",
         "Mine",

@@ -91,6 +91,7 @@ def test_a_track_that_no_example_has_played_has_none() -> None:
     ("track", "measure"),
     [
         ("assembly", "stages"),
+        ("cable_end", "largest_bend_mm"),
         ("explore", "brier_score"),
         ("in_hand_turn", "angle_error_deg"),
         ("slip", "grip_force_n"),

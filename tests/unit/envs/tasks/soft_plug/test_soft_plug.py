@@ -1,4 +1,4 @@
-"""The soft plug on a stand-in for the physics, where it moves with the gripper and never bends."""
+"""The soft plug and the cable's end on a stand-in for the physics, where they move with the gripper and never bend."""
 
 from collections import Counter
 from typing import Any
@@ -9,9 +9,18 @@ from fake_scene import FakeScene
 from unpacked_files import unpack
 from vitac.envs.drawing.playback import record
 from vitac.envs.playback_files.scene import pack_scene
+from vitac.envs.tactile.gel import arena_gel_mesh
 from vitac.envs.tasks.settings import ResetOptionsError, SettingsError
-from vitac.envs.tasks.soft_plug.env import SoftPlugEnv, move_over_then_push
-from vitac.envs.tasks.soft_plug.scene import WIDTH_MM, PlugShape, SoftPlugScene, plate_mesh, plug_mesh
+from vitac.envs.tasks.soft_plug.env import CableEndEnv, SoftPlugEnv, move_over_then_push
+from vitac.envs.tasks.soft_plug.scene import (
+    FORMS,
+    CableShape,
+    PlugShape,
+    SoftPlugScene,
+    plate_mesh,
+    plug_mesh,
+    stiffening,
+)
 
 START = {"shape": "slim", "offset_mm": (2.0, -1.0), "rng_seed": (0, 1)}
 DOWN = (0.0, 0.0, -1.0)
@@ -33,11 +42,31 @@ def played(*actions: tuple[float, float, float], start: dict[str, Any] = START, 
 @pytest.mark.parametrize("shape", list(PlugShape))
 def test_plug_is_free_and_has_rounded_corners(shape: PlugShape) -> None:
     mesh = plug_mesh(shape)
-    half_mm = 0.5 * WIDTH_MM[shape]
+    half_mm = 0.5 * FORMS[shape].width_mm
     lower_mm = 1e3 * mesh.rest_position_m[mesh.rest_position_m[:, 2] == 0.0]
     assert mesh.is_free
     assert np.ptp(1e3 * mesh.rest_position_m, axis=0) == pytest.approx([2 * half_mm, 2 * half_mm, 38.0], rel=0.03)
     assert np.hypot(*lower_mm[:, :2].T).max() == pytest.approx(half_mm * np.sqrt(2 * 0.75))
+
+
+def test_cable_has_a_hard_connector_and_a_boot_with_a_slim_neck() -> None:
+    mesh = plug_mesh(CableShape.CABLE)
+    rest_mm, factors = 1e3 * mesh.rest_position_m, stiffening(CableShape.CABLE, mesh)
+    assert factors is not None
+    hard_mm, soft_mm = rest_mm[mesh.hexahedra[factors > 1.0]], rest_mm[mesh.hexahedra[factors == 1.0]]
+    assert hard_mm[..., 2].max() == pytest.approx(8.0) == soft_mm[..., 2].min()
+    widths_mm = {z: np.ptp(rest_mm[rest_mm[:, 2] == z, 0]) / 8.5 for z in np.unique(rest_mm[:, 2])}
+    neck = [width / widths_mm[0.0] for z, width in widths_mm.items() if 7.9 < z < 20.1]
+    assert neck == pytest.approx([3.0 / 8.5] * 13)
+    assert widths_mm[0.0] == pytest.approx(1.0, rel=0.02) == widths_mm[max(widths_mm)]
+    assert stiffening(PlugShape.SLIM, plug_mesh(PlugShape.SLIM)) is None
+
+
+def test_no_level_of_a_plug_is_held_at_the_height_of_a_row_of_the_gels_nodes() -> None:
+    rows_mm = np.unique(1e3 * arena_gel_mesh().rest_position_m[arena_gel_mesh().sensing, 0].round(6))
+    for shape, form in FORMS.items():
+        levels_mm = np.unique(1e3 * plug_mesh(shape).rest_position_m[:, 2].round(6)) - form.grasp_mm
+        assert np.abs(levels_mm[:, None] - rows_mm).min() > 0.3
 
 
 @pytest.mark.parametrize("interference_mm", [-0.2, 0.0, 0.15])
@@ -82,6 +111,18 @@ def test_a_plug_whose_end_is_aside_has_buckled(monkeypatch: pytest.MonkeyPatch, 
     assert (info["end_reason"], truncated) == (("error", True) if bend_mm > 1.5 else (None, False))
     assert (reward < -9.0) == truncated
     assert info["largest_bend_mm"] == bend_mm
+
+
+def test_a_boot_is_bent_where_its_neck_is_aside_though_the_connector_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    env = CableEndEnv()
+    env.reset(options={"offset_mm": (2.0, -1.0)})
+    scene, straight_m, rest_m = env.task_scene, env.scene.held_vertices_m, env.scene.held_surface.vertices_m
+    aside_m = np.where(np.isclose(rest_m[:, 2], 14e-3), 2.4e-3, 0.0)[:, None] * np.array([1.0, 0.0, 0.0])
+    monkeypatch.setattr(env.scene, "held_vertices_m", lambda vertices: straight_m(vertices) + aside_m[vertices])
+    assert scene.lower_end_mm()[:2] == pytest.approx(scene.offset_mm())
+    assert scene.bend_mm() == pytest.approx(2.4)
+    *_, info = env.step(np.zeros(3, dtype=np.float32))
+    assert info["end_reason"] == "error"
 
 
 def test_a_gripper_that_has_left_the_hole_and_one_that_ran_out_of_time_have_failed() -> None:
@@ -143,3 +184,14 @@ def test_playback_has_the_plugs_own_surface() -> None:
     file = unpack(pack_scene(playback))
     assert (file.header["held_name"], file.header["fixed_name"]) == ("plug", "plate")
     assert len(file.arrays["held_vertices_mm"]) == len(plug_mesh(PlugShape.SLIM).surface_nodes)
+
+
+def test_cable_end_is_a_task_of_its_own_with_its_own_shape_and_hole() -> None:
+    env = CableEndEnv()
+    _, info = env.reset(seed=0)
+    assert (env.env_id, env.task_scene.shape) == ("ViTac/CableEnd-v1", "cable")
+    assert info["heights_mm"] == pytest.approx(np.full(4, 0.6))
+    vertices_mm = 1e3 * plate_mesh(CableShape.CABLE, env.settings.interference_mm).vertices_m
+    assert np.abs(vertices_mm[vertices_mm[:, 2] == -2.0]).max() == pytest.approx(4.45)
+    with pytest.raises(ResetOptionsError, match="ViTac/CableEnd-v1: option 'shape'"):
+        env.reset(options={"shape": "slim"})
