@@ -457,7 +457,7 @@ class GelBody:
         viscosity: branches beside the elasticity, whose constants are those of a gel at rest; for hexahedra.
         yeoh: C20 and C30 over C10, see `elastic.yeoh`; for hexahedra.
         stiffening: factor of Young's modulus of each hexahedron, shape [c], in an elastic part of several materials;
-            None for one.
+            None for one. Viscosity and Yeoh's terms are those of the body.
         motion: where its driven nodes are at a time [s] after the scene was built, from where they were placed [m],
             shape [3]; None where they stay or a gripper moves them. It can be pickled.
     """

@@ -1,1 +1,1 @@
-"""Pushing an elastic plug into a tight hole without bending or crushing it: `ViTac/SoftPlug-v1`."""
+"""Pushing an elastic plug, or the connector at a cable's end, into a hole without bending or crushing what is held."""

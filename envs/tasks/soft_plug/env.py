@@ -1,4 +1,4 @@
-"""`ViTac/SoftPlug-v1`: push an elastic plug into a hole that is narrower than it."""
+"""`ViTac/SoftPlug-v1`, `ViTac/CableEnd-v1`: push an elastic plug, or a connector on a soft boot, into a hole."""
 
 from collections.abc import Sequence
 from typing import Any, ClassVar

@@ -1,4 +1,4 @@
-"""Scene of the soft plug: an elastic plug between two gels, above a plate with a hole that is narrower than it."""
+"""Scene of the soft plug and the cable's end: an elastic part between two gels, above a plate with a hole for it."""
 
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
