@@ -121,8 +121,8 @@ class HeldPeg:
         axes: where the stage is, from the hole.
     """
 
-    def __init__(self, peg: "InsertionScene[Any, Any]", axes: Axes, fingers: Compliance | None) -> None:
-        """Close on a peg that stands upright where the gripper is."""
+    def __init__(self, peg: InsertionScene[Any, Any], axes: Axes, fingers: Compliance | None) -> None:
+        """Close on a peg that stands where the gripper is."""
         self._peg = peg
         InsertionScene.grasp(self._peg)
         self.scene = self._peg.grasped

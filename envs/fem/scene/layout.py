@@ -90,10 +90,10 @@ def check_bodies(gels: Sequence[GelBody], bodies: Sequence[RigidBody]) -> None:
                 f"lock: at {_LOCKING_POISSON_RATIO} a ball presses 1.7 times as hard as into the continuum; mesh it by "
                 "hexahedra or give it a smaller one."
             )
-        cells = len(gel.mesh.hexahedra)
-        if gel.stiffening is not None and not (gel.stiffening.shape == (cells,) and (gel.stiffening > 0.0).all()):
+        cells, factor = len(gel.mesh.hexahedra), gel.stiffening
+        if factor is not None and not (factor.shape == (cells,) and ((factor > 0.0) & np.isfinite(factor)).all()):
             raise SceneError(
-                f"stiffening of {name} has shape {gel.stiffening.shape}, expected a positive number for each of the "
+                f"stiffening of {name} has shape {factor.shape}, expected a positive finite number for each of the "
                 f"{cells} hexahedra of {gel.mesh.name}."
             )
         if gel.motion is not None and gel.mesh.is_free:

@@ -113,7 +113,7 @@ _GRASP_AND_HOLE = GRIPPER_X, GRIPPER_Z, CLEARANCE, *TILTS = (
     symmetric(
         name="hole_tilt_y_deg",
         unit="degree",
-        meaning="The same about the y axis",
+        meaning="Tilt of the part with the hole about the world's y axis",
         largest=LARGEST_TILT_DEG,
     ),
 )

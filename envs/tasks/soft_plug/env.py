@@ -51,13 +51,7 @@ class SoftPlugEnv(TactileTaskEnv[SoftPlugScene, SoftPlugSettings]):
         return [plate_mesh(shape, self.settings.interference_mm) for shape in self.shape_type]
 
     def _start(self, options: dict[str, Any], random: np.random.Generator) -> SoftPlugScene:
-        start = choose_start(
-            options,
-            random,
-            env_id=self.env_id,
-            shapes=self._shapes,
-            xy_mm=self.settings.random_xy_mm,
-        )
+        start = choose_start(options, random, env_id=self.env_id, shapes=self._shapes, xy_mm=self.settings.random_xy_mm)
         settings = self._settings_of_episode(random)
         return SoftPlugScene(start=start, meshes=self._meshes, settings=settings, clocks=self._clocks)
 

@@ -283,6 +283,6 @@ def test_a_bar_of_two_materials_is_two_springs_in_a_row() -> None:
 
 
 def test_stiffening_that_is_not_a_positive_number_for_each_hexahedron_is_refused() -> None:
-    for wrong in (np.ones(31), np.zeros(32)):
-        with pytest.raises(SceneError, match="expected a positive number for each of the 32 hexahedra"):
+    for wrong in (np.ones(31), np.zeros(32), np.full(32, np.inf)):
+        with pytest.raises(SceneError, match="expected a positive finite number for each of the 32 hexahedra"):
             stretching_force_n(wrong)
