@@ -2,6 +2,7 @@ import io
 import re
 import shutil
 from collections.abc import Iterator
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Literal
@@ -535,9 +536,18 @@ def test_focus_in_a_map_outlives_an_update(site: SiteUnderTest, page: Page) -> N
 
 
 def test_the_front_page_plays_its_episode_by_itself(page: Page, site: SiteUnderTest) -> None:
+    page.add_init_script(
+        """globalThis.times = [];
+        const output = "form.transport output";
+        const noted = ({ target, addedNodes: [text] }) => target.matches?.(output) && times.push(text.textContent);
+        const observer = new MutationObserver((changes) => changes.forEach(noted));
+        observer.observe(document, { childList: true, subtree: true });"""
+    )
     site.open(page, "/")
-    expect(page.locator("form.transport output")).to_have_text(re.compile(r"^(?!0\.0)(?!(\d+)\.0 of \1$)\d"))
     expect(page.get_by_role("button", name="Play it in 3D")).to_have_count(0)
+    # The player opens at the end. A busy machine may draw no more than the first and the last of the three seconds.
+    ends = partial(page.evaluate, "times.filter((time) => /^[03]\\.0/.test(time))")
+    until(page, ends, lambda times: times[-3:] == ["3.0 of 3", "0.0 of 3", "3.0 of 3"])
 
 
 def test_the_front_page_moves_only_on_request_for_readers_who_want_no_motion(page: Page, site: SiteUnderTest) -> None:
