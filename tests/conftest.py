@@ -59,7 +59,7 @@ def pytest_collection() -> Generator[None, object, object]:
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Three processes for the suite on two cores, since tests often wait, and slow ones more often: four for them.
+    """Three processes for the suite on two cores, since tests often wait, and four with the slow ones, which wait more.
 
     None for tests that were named or chosen.
     """

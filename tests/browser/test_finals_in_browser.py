@@ -27,6 +27,7 @@ def look(page: Page) -> None:
         assert violations(page) == [], f"{page.url}, {scheme}"
 
 
+@pytest.mark.slow
 def test_pages_of_a_final_have_no_barriers(
     page: Page, site: SiteUnderTest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -60,6 +61,7 @@ def test_a_visitor_watches_a_station_and_reads_when_it_shows_nothing(
     look(page)
 
 
+@pytest.mark.slow
 def test_the_page_of_briefs_has_no_barriers(page: Page, site: SiteUnderTest, repository: Path) -> None:
     content = read_competition(repository / "competitions" / "vitac-2026.yaml").model_dump(mode="json")
     site.seeded.hold(open_now(content, 0, "real_robot"))

@@ -99,6 +99,7 @@ def test_every_page_is_looked_at_for_barriers(site: SiteUnderTest, monkeypatch: 
     assert unchecked(["/new/one?of=many"]) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scripted", [True, False])
 def test_operations_are_accessible_fit_and_need_no_javascript(
     browser: Browser, site: SiteUnderTest, scripted: bool
@@ -168,6 +169,7 @@ def test_a_change_of_state_is_announced(page: Page, site: SiteUnderTest) -> None
     expect(page.get_by_role("status")).to_have_text("Running")
 
 
+@pytest.mark.slow
 def test_everything_works_without_javascript(browser: Browser, site: SiteUnderTest) -> None:
     context = browser.new_context(java_script_enabled=False)
     page = context.new_page()
@@ -232,6 +234,7 @@ def test_the_session_cookie_is_out_of_reach_for_scripts(page: Page, site: SiteUn
     ]
 
 
+@pytest.mark.slow
 def test_a_long_name_widens_no_board_of_many_teams(browser: Browser, site: SiteUnderTest) -> None:
     names = "W" * 60, ("a long name of many words " * 3)[:60]
     with site.seeded.database.transaction() as session:
@@ -259,6 +262,7 @@ def test_a_long_name_widens_no_board_of_many_teams(browser: Browser, site: SiteU
         context.close()
 
 
+@pytest.mark.slow
 def test_the_own_row_of_a_long_board_is_one_link_away(page: Page, site: SiteUnderTest) -> None:
     site.seeded.fill_board(120)
     of_both = BoardResult.submission_id == site.seeded.id_of("both")

@@ -186,6 +186,7 @@ def test_environments_and_evaluation_need_no_extra(repository: Path, project: di
     assert not modules_loaded_by("import " + ", ".join(names)) & service
 
 
+@pytest.mark.slow
 def test_worker_needs_a_part_of_what_the_server_needs(repository: Path, project: dict[str, Any]) -> None:
     extras = project["project"]["optional-dependencies"]
     assert set(extras["worker"]) < set(extras["server"])

@@ -233,6 +233,7 @@ def test_lock_opening_is_evaluated_and_its_log_verified(submission: Path, reposi
     assert (verification.verdict, verification.score) == (VerificationResult.VERIFIED, evaluation.score)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("shared_simulation")
 def test_sensor_of_a_team_is_played_in_every_shard_with_its_own_mesh_hash(
     submission: Path, repository: Path, drifted: LocalEvaluation

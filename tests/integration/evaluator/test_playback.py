@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 from evaluation_records import make_record
 from unpacked_files import unpack
 from vitac.evaluator.episodes.episode import make_environment
@@ -13,6 +14,7 @@ from vitac.evaluator.playback.process import making
 from vitac.evaluator.tracks import find_task
 
 
+@pytest.mark.slow
 def test_a_played_episode_becomes_a_playback_of_the_same_states(tmp_path: Path) -> None:
     track, task = find_task("lock-opening")
     actions = np.zeros((2, len(task.actions)), dtype=np.float32)

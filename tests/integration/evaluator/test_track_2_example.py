@@ -38,6 +38,7 @@ def played(policy: Any, start: tuple[float, ...]) -> tuple[str, int]:
     return info["end_reason"], info["steps"]
 
 
+@pytest.mark.slow
 def test_inserts_both_pegs_in_the_sandbox_by_what_its_manifest_names(folder: Path) -> None:
     track, task = find_task("fusion-insertion")
     evaluation = evaluate(submission_dir=folder, track=track, task=task, episodes=(3, 4))

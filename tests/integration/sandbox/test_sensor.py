@@ -106,6 +106,7 @@ def test_check_refuses_a_sensor_without_its_document_before_it_plays(folder: Pat
     assert "Expected one design document" in findings.refused[0]
 
 
+@pytest.mark.slow
 def test_check_plays_a_sensor_with_the_estimator(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (package(folder) / "design.md").write_text("A flat gel.")
     played: list[tuple[str, bool]] = []

@@ -31,6 +31,7 @@ numpy.__version__ = "99.0"
 """
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("shared_simulation")
 def test_a_policy_imports_its_wheels_before_what_all_policies_see(tmp_path: Path) -> None:
     files: dict[str, str | bytes] = {

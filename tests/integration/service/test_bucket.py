@@ -100,6 +100,7 @@ def test_kill_in_the_middle_of_storing_leaves_no_file_and_the_next_attempt_succe
     assert (tmp_path / "copy").stat().st_size == LARGE_BYTES
 
 
+@pytest.mark.slow
 def test_kill_of_the_bucket_in_the_middle_of_storing_is_a_named_refusal(
     s3: S3Server, blobs: BlobStore, tmp_path: Path
 ) -> None:
@@ -118,6 +119,7 @@ def test_kill_of_the_bucket_in_the_middle_of_storing_is_a_named_refusal(
         blobs.check()
 
 
+@pytest.mark.slow
 def test_upload_to_a_bucket_that_is_away_is_refused_and_possible_again_later(
     s3: S3Server, database: Database, tmp_path: Path
 ) -> None:

@@ -195,6 +195,7 @@ def compressed_column(solver: SolverSettings, *, size: float = 1.0, across: int 
 
 
 # With turns of one iteration the last one is cautious and uses the projected matrix, which looks stable always.
+@pytest.mark.slow
 @pytest.mark.parametrize("phase_iterations", [STANDARD.phase_iterations, 1])
 def test_a_compressed_column_that_stays_straight_is_refused_as_unstable(phase_iterations: int) -> None:
     report, _ = compressed_column(replace(STANDARD, phase_iterations=phase_iterations, saddle_escapes=0))

@@ -126,6 +126,7 @@ def test_pulling_at_the_lock_and_letting_up_costs_energy_and_yields_none(
     assert (work_j > 0.3 * largest_j) == slides
 
 
+@pytest.mark.slow
 def test_half_the_time_step_gives_the_same_assembly() -> None:
     found = []
     for ipc_steps in (1, 2):

@@ -63,6 +63,7 @@ def test_supported_side_is_lifted_and_the_plate_pushes_towards_the_hole(beside_t
     assert scene.force_on_held_n(FIXED)[0] < -0.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", ["stopper", "slim"])
 def test_with_the_truth_the_plug_goes_in_unbent_and_nothing_penetrates(shape: str) -> None:
     env = SoftPlugEnv(force_limit_n=8.0)

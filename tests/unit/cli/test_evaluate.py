@@ -205,6 +205,7 @@ def test_policy_server_needs_its_address_and_what_it_speaks(
     assert words in " ".join(re.sub(r"[│╭╰─╮╯]", " ", err).split())
 
 
+@pytest.mark.slow
 def test_the_command_loads_no_compiler_beside_the_processes_that_play(repository: Path) -> None:
     """Numba takes half a second of CPU time, in which the first episodes could be played."""
     heuristic = repository / "examples" / "peg_insertion_heuristic"

@@ -181,6 +181,7 @@ def tell_of_team(story: Story) -> None:
     story.run("team renew-token", "Ann", token=ann)
 
 
+@pytest.mark.slow
 def test_every_command_reads_what_a_newer_service_answers(
     service: CliService, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

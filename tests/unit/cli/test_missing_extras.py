@@ -128,6 +128,7 @@ def imported(repository: Path) -> Iterator[str]:
                 yield from (alias.name for alias in node.names)
 
 
+@pytest.mark.slow
 def test_every_import_is_of_the_base_or_of_an_extra_that_is_found(repository: Path) -> None:
     base = {Requirement(line).name for line in requires("vitac-arena") or () if "extra ==" not in line}
     packages = {name.partition(".")[0] for name in imported(repository)} - sys.stdlib_module_names

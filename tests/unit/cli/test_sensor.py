@@ -54,6 +54,7 @@ def test_check_prints_every_rule_with_value_and_limit(run: Run, folder: Path) ->
     assert out.splitlines()[-1].startswith("The sensor follows all rules. Mesh digest ")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", ["check", "mesh"])
 def test_compiling_is_shown_while_a_sensor_is_checked(
     run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch, verb: str

@@ -27,6 +27,7 @@ def test_notebook_is_stored_without_results(notebook: dict[str, Any]) -> None:
         assert cell.get("execution_count") is None
 
 
+@pytest.mark.slow
 def test_every_cell_runs_and_a_submission_comes_of_it(
     notebook: dict[str, Any], repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

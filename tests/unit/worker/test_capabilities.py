@@ -33,6 +33,7 @@ def install(monkeypatch: pytest.MonkeyPatch, **other: str) -> None:
     monkeypatch.setenv("VITAC_SANDBOX_FILES", "memory")
 
 
+@pytest.mark.slow
 def test_a_worker_with_the_declared_packages_takes_shards_of_all_tracks(monkeypatch: pytest.MonkeyPatch) -> None:
     install(monkeypatch, torch="2.13.0+cpu")
     assert capabilities.explain_unfit({}) == ""

@@ -10,6 +10,7 @@ from vitac.worker.capabilities import IsolationReport
 from vitac.worker.heartbeat import Heartbeat
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "installed"),
     [("UPDATE alembic_version SET version_num = '0001'", "0001"), ("DELETE FROM alembic_version", "none")],

@@ -24,6 +24,7 @@ class FakeProbes:
 LOCKED = {name: versions[0] for name, versions in locked_versions([PackageSet.BASE]).items()}
 
 
+@pytest.mark.slow
 def test_machine_that_holds_every_probe_is_sound_and_its_level_is_named() -> None:
     probes = FakeProbes({})
     sandbox = a_sandbox(packages=LOCKED)

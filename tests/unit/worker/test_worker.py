@@ -88,6 +88,7 @@ def test_worker_evaluates_what_is_in_the_queue_and_what_comes_later(services: Se
         assert work.count_open(session) == 0
 
 
+@pytest.mark.slow
 def test_two_workers_share_the_shards_and_give_the_same_hash(services: Services, archive_sha256: str) -> None:
     alone = submit(services, archive_sha256)
     with working(services, FakeShards()):
@@ -320,6 +321,7 @@ def test_stopped_worker_stores_what_is_played_and_gives_back_what_has_begun(
     assert {shard.state for shard in found[2:]} == {WorkState.QUEUED}
 
 
+@pytest.mark.slow
 def test_shard_whose_result_cannot_be_stored_runs_again_after_the_one_that_has_begun(
     services: Services, archive_sha256: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -355,6 +357,7 @@ def test_worker_counts_claims_waits_and_episodes_in_the_totals_of_all(services: 
     assert found[SeriesKey("vitac_claim_seconds_count")] >= n_shards
 
 
+@pytest.mark.slow
 def test_a_playback_is_made_before_the_evaluations_that_wait(services: Services, archive_sha256: str) -> None:
     team = played(services.database)
     playback = team.ask(1)
@@ -396,6 +399,7 @@ class FakePlayback:
         """It ends by itself."""
 
 
+@pytest.mark.slow
 def test_stills_of_a_new_public_result_are_asked_for_with_its_last_shard(
     services: Services, archive_sha256: str
 ) -> None:

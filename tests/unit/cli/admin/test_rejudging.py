@@ -1,5 +1,6 @@
 import json
 
+import pytest
 import quick_worker
 from cli_service import CliService
 from service_factories import TASK, TRACK, make_principal, make_score, outdate, submit_scored
@@ -7,6 +8,7 @@ from vitac.cli.client.answers import RequestRefused
 from vitac.cli.client.verbs import ConsentMissing
 
 
+@pytest.mark.slow
 def test_a_rejudgement_is_started_shown_and_applied(service: CliService) -> None:
     with service.database.transaction() as session:
         for name, successes in (("Ants", 80), ("Bees", 78)):

@@ -68,6 +68,7 @@ def sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
+@pytest.mark.slow
 def test_an_upload_survives_cuts_at_random_places(service: Service, archive: Path) -> None:
     cuts = [int(cut) for cut in np.random.default_rng(20).integers(1, MEGABYTE, N_CUTS)]
     positions: list[int] = []

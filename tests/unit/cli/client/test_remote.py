@@ -55,6 +55,7 @@ class Policy:
 """
 
 
+@pytest.mark.slow
 def test_a_folders_own_policy_is_asked_where_it_is_and_its_digest_is_sent(tmp_path: Path) -> None:
     manifest = MANIFEST.replace("remote: {protocol: openpi, address: connect}", "observation_keys: [relative_motion]")
     with (

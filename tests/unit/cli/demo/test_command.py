@@ -101,6 +101,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FinishedDemo]
         yield FinishedDemo(demo=demo, first=demo.run("--exit"))
 
 
+@pytest.mark.slow
 def test_evaluates_the_example_and_prints_leaderboard_and_addresses(finished: FinishedDemo) -> None:
     done = finished.first
     assert done.returncode == 0, done.stdout + done.stderr
@@ -148,6 +149,7 @@ def test_again_runs_all_episodes_once_more_at_another_port_with_another_token_wh
     assert result_hash(again) == result_hash(finished.first)
 
 
+@pytest.mark.slow
 def test_stays_until_ctrl_c(finished: FinishedDemo) -> None:
     with finished.demo.start() as process:
         assert process.stdout is not None

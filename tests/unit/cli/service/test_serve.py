@@ -83,6 +83,7 @@ def test_serves_pages_and_api_also_after_its_database_restarted_until_it_is_aske
     assert "Traceback" not in complaints
 
 
+@pytest.mark.slow
 def test_brings_its_own_database_where_none_is_configured(environment: dict[str, str]) -> None:
     del environment["VITAC_DATABASE_URL"]
     environment["VITAC_STATE_DIR"] = str(state_directory())

@@ -4,11 +4,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from databases import state_directory
 
 WORKER = "from vitac.cli.main import main; main(['worker'])"
 
 
+@pytest.mark.slow
 def test_a_worker_waits_for_the_database_of_a_server_and_starts_none() -> None:
     folder = state_directory()
     environment = {"VITAC_STATE_DIR": str(folder), "PATH": "/usr/bin:/bin"}
@@ -22,6 +24,7 @@ def test_a_worker_waits_for_the_database_of_a_server_and_starts_none() -> None:
     shutil.rmtree(folder)
 
 
+@pytest.mark.slow
 def test_a_worker_that_a_scheduler_started_says_that_the_database_is_away() -> None:
     folder = state_directory()
     environment = {"VITAC_STATE_DIR": str(folder), "VITAC_DATABASE_WAIT_S": "0.1", "PATH": "/usr/bin:/bin"}

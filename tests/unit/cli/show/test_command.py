@@ -70,6 +70,7 @@ def test_pictures_have_the_same_size_by_default(run: Run, tmp_path: Path) -> Non
         assert image.size == (1600, 912)
 
 
+@pytest.mark.slow
 def test_folder_gets_a_picture_for_the_reset_and_every_env_step(run: Run, tmp_path: Path) -> None:
     code, out, _ = run("peg-insertion", "--episode", 5, "--out", "frames", "--width", 600)
     assert code == 0
@@ -90,6 +91,7 @@ def test_animation_has_a_picture_for_every_ipc_step(run: Run, tmp_path: Path) ->
         assert coarse.n_frames == 2  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 def test_frames_of_ipc_steps_are_named_in_order(run: Run, tmp_path: Path) -> None:
     (tmp_path / "a.jsonl").write_text(json.dumps({**LINE_OF_2025, "steps": LINE_OF_2025["steps"][:1]}))  # type: ignore[index]
     code, out, _ = run(
@@ -224,6 +226,7 @@ def test_every_task_of_ours_that_is_scored_can_be_drawn() -> None:
         assert callable(straight_to_target(env_id))
 
 
+@pytest.mark.slow
 def test_cameras_of_an_env_step_are_drawn(run: Run, tmp_path: Path) -> None:
     arguments = ("fusion-insertion", "--episode", 2, "--step", 1, "--view", "cameras", "--width", 600)
     code, out, _ = run(*arguments, "--out", "cameras.png")

@@ -63,6 +63,7 @@ def test_a_picture_shows_nothing_of_those_that_were_drawn_before(peg_playback: E
         np.testing.assert_array_equal(painter.picture(index), painted(playback).picture(index))
 
 
+@pytest.mark.slow
 def test_moments_and_quantities_differ(peg_playback: EpisodePlayback) -> None:
     stress = painted(peg_playback)
     assert not np.array_equal(stress.picture(0), stress.picture(2))

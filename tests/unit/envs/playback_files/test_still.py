@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from vitac.envs.drawing.playback import EpisodePlayback
 from vitac.envs.playback_files.still import HEIGHT_PX, WIDTH_PX, draw_still
@@ -9,6 +10,7 @@ def bounds(mask: NDArray[np.bool_]) -> tuple[int, int, int, int]:
     return int(rows[0]), int(rows[-1]), int(columns[0]), int(columns[-1])
 
 
+@pytest.mark.slow
 def test_the_still_has_the_whole_scene_in_its_middle_over_a_table_that_fades_in_the_colours_of_the_player(
     peg_playback: EpisodePlayback,
 ) -> None:

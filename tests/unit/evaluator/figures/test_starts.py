@@ -38,6 +38,7 @@ def test_a_list_of_many_starts_is_measured_at_as_many() -> None:
     assert len(measured_episodes(task)) == 90
 
 
+@pytest.mark.slow
 def test_information_grows_with_every_picture() -> None:
     found = start().information
     assert found is not None

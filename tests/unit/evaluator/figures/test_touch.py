@@ -38,6 +38,7 @@ def test_map_of_a_flat_gel_is_whole_and_nearly_symmetric() -> None:
     np.testing.assert_allclose(np.nanmean(normal[:5]), np.nanmean(normal[6:]), rtol=0.05)
 
 
+@pytest.mark.slow
 def test_mesh_error_falls_with_the_mesh_and_is_nothing_against_itself() -> None:
     own = own_sensors.designed("4 mm")
     middle, fine = refined_design(own, 2.0), refined_design(own, 8.0)

@@ -70,6 +70,7 @@ def test_an_episode_with_cameras_has_a_file_of_their_pictures(recorded: Recorded
     assert unpack((tmp_path / CAMERAS_FILE).read_bytes()).arrays["colours"].shape[0] == 2
 
 
+@pytest.mark.slow
 def test_the_still_is_drawn_where_that_is_possible(
     recorded: Recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

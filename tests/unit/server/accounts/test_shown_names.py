@@ -93,6 +93,7 @@ def addresses(submission: Submission) -> list[str]:
     ]
 
 
+@pytest.mark.slow
 def test_nobody_else_is_told_a_team_s_name_and_its_members_and_organizers_are(service: CliService) -> None:
     with service.database.transaction() as session:
         team = teams.find(session, NAME)

@@ -101,6 +101,7 @@ def test_a_single_sign_in_an_hour_is_one_for_a_member_too(tmp_path: Path) -> Non
     assert used_up(create_app(strict).state.sign_in_limiters.of_member.note, "somebody", 1)
 
 
+@pytest.mark.slow
 def test_applications_of_one_process_share_their_routes_and_no_state(service: Service, tmp_path: Path) -> None:
     with (
         opened_database() as database,

@@ -131,6 +131,7 @@ def audience(place: Route, *, is_public: bool = False) -> frozenset[Who]:
 
 
 REFUSED = {401, 403, 404}
+QUICK = {Who.VISITOR, Who.ORGANIZER}  # the roles that every suite tries; the slow tests try all
 IDENTITY = re.compile(r"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}")
 UPLOAD_HEADERS = {"Tus-Resumable": "1.0.0"}
 KIND = "kind bW9kZWw="  # "model", as the protocol writes it
@@ -516,7 +517,7 @@ def fill(service: Service) -> Setting:
     )
 
 
-@pytest.mark.parametrize("who", Who)
+@pytest.mark.parametrize("who", [pytest.param(who, marks=() if who in QUICK else pytest.mark.slow) for who in Who])
 def test_a_role_gets_exactly_what_the_routes_declare(setting: Setting, who: Who) -> None:
     assert wrong_answers(setting, described(), who) == []
     if who in {Who.VISITOR, Who.OTHER}:  # who have not changed the submission until here
@@ -556,6 +557,7 @@ def test_every_route_declares_who_may_call_it() -> None:
     assert not {path for place, path in described() if place != "get"} & {path for path in free if "comp" in path}
 
 
+@pytest.mark.slow
 def test_a_dry_run_of_every_change_answers_and_changes_nothing(setting: Setting) -> None:
     answered = []
     for (method, path), route in described().items():

@@ -168,6 +168,7 @@ def with_sensor(export: Path, content: bytes | None) -> Path:
     return changed
 
 
+@pytest.mark.slow
 def test_an_episode_of_a_teams_sensor_is_run_again(exported: Exported) -> None:
     path = exported()
     found = one_episode(path)

@@ -209,6 +209,7 @@ def test_at_once_has_one_list_that_decides_and_few_runs(database: Database) -> N
             submit_scored(session, by, "one more", {TASK: make_score(9)})
 
 
+@pytest.mark.slow
 def test_a_list_that_decides_at_once_is_compared_with_fresh_ones_that_are_thrown_away(database: Database) -> None:
     with database.transaction() as session:
         apply(session, CONSOLE, CompetitionDefinition.model_validate(cup(sealed="at_once")))

@@ -109,6 +109,7 @@ def many_results(address_of_many_results: str) -> Iterator[Database]:
         yield database
 
 
+@pytest.mark.slow
 def test_boards_read_the_best_of_each_team_and_not_all_results(many_results: Database) -> None:
     for read in (
         lambda session: leaderboard(session, shown_stage(session, TRACK)),

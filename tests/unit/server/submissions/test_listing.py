@@ -152,6 +152,7 @@ def test_who_can_run_the_same_is_found_once_for_a_whole_list(
     assert asked == [*items[0].tasks, *items[-1].tasks]
 
 
+@pytest.mark.slow
 def test_a_teams_list_reads_no_other_teams_rows_and_no_output(database: Database, principal: Principal) -> None:
     with database.transaction() as session:
         for other in range(20):

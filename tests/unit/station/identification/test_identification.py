@@ -139,6 +139,7 @@ def test_environments_get_the_intervals_of_what_was_seen_alone() -> None:
     assert "gel_friction" not in draws
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_every_probe_meets_what_it_looks_for_at_a_station_that_is_as_far_off_as_twins_are(sign: float) -> None:
     tilt = Tilt(peg_deg=1.5 * sign, plate_deg=(1.5, -1.5 * sign))

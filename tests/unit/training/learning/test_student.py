@@ -1,6 +1,7 @@
 """The student: its histories, and what it learns."""
 
 import numpy as np
+import pytest
 from toy_peg import ToyPeg
 from vitac.training.collection import guided_actor, random_actor, student_actor
 from vitac.training.episodes import joined, play
@@ -37,6 +38,7 @@ def test_histories_are_those_that_a_policy_has() -> None:
     assert len(student_inputs(played)) == len(played.felt)
 
 
+@pytest.mark.slow
 def test_learns_from_what_is_felt_what_the_critic_sees() -> None:
     random = np.random.default_rng(0)
     blind = play(ToyPeg(), random_actor, 7, range(150))

@@ -69,6 +69,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_learns_more_than_what_it_begins_with(whole: Path) -> None:
     rows = [json.loads(line) for line in (whole / "log.jsonl").read_text().splitlines()]
     assert [row["generation"] for row in rows] == [1, 2, 3, 4]

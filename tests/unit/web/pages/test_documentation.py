@@ -30,6 +30,7 @@ def test_nothing_but_the_documentation_is_served(browser: AsgiBrowser, path: str
     assert browser.get(path).status_code == 404
 
 
+@pytest.mark.slow
 def test_search_leads_to_the_section(browser: AsgiBrowser) -> None:
     found = browser.get("/docs/search?q=result+hash").text
     assert re.search(r"\d+ sections with “result hash”", found)

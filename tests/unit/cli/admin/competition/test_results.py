@@ -47,6 +47,7 @@ def test_the_end_comes_with_consent_and_once(played: CliService) -> None:
     assert "has been final since" in str(again.exception)
 
 
+@pytest.mark.slow
 def test_a_final_result_is_decided_again_without_a_team_that_was_disqualified(
     played: CliService, tmp_path: Path
 ) -> None:
