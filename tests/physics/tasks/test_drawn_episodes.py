@@ -13,6 +13,7 @@ TASKS = [
     *("explore-robust", "moving-hole-robust", "slip-robust"),
     *("in-hand-turn-robust", "assembly-robust"),
     pytest.param("soft-plug-robust", marks=pytest.mark.slow),
+    pytest.param("cable-end-robust", marks=pytest.mark.slow),
 ]
 
 

@@ -461,6 +461,7 @@ ROBUST = {
     "slip-robust": ("gel_friction", 0.4, 1.2),
     "in-hand-turn-robust": ("gel_friction", 0.2, 0.45),
     "soft-plug-robust": ("interference_mm", 0.05, 0.15),
+    "cable-end-robust": ("interference_mm", -0.25, -0.15),
     "assembly-robust": ("gel_friction", 0.6, 1.2),
 }
 NEW = {
@@ -471,6 +472,7 @@ NEW = {
     "slip-robust": ("part_mass_kg", "load_n"),
     "in-hand-turn-robust": ("held_mm",),
     "soft-plug-robust": ("plug_modulus_mpa",),
+    "cable-end-robust": ("plug_modulus_mpa",),
     "assembly-robust": (),
     "fusion-robust": ("picture_delay", "camera_x_mm", "camera_z_mm", "camera_turn_deg"),
 }
