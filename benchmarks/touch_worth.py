@@ -1,10 +1,11 @@
 """What touch is worth in a task: policies without it, with it and with the truth, on the same fresh starts.
 
-Usage: python benchmarks/touch_worth.py RUN [--scripted FOLDER] [--to FOLDER]
+Usage: python benchmarks/touch_worth.py TASK SCRIPTED [--clone RUN] [--starts N] [--to FOLDER]
 
-RUN is the folder of a finished `vitac train clone`, which holds what its policy and a blind one solved of the starts
-that it reports. On the same starts play: random actions, rest, the submission in FOLDER, and the planner that knows the
-truth (its first plan). Measures of tasks already in the folder stay; page and picture show all of them.
+On the same starts play: no motion, random actions, the submission in the folder SCRIPTED, the same with the markers as
+they were at the start, and the planner that knows the truth (its first plan). RUN is the folder of a finished
+`vitac train clone`, which holds what its policy and a blind one solved of the starts that it reports; they are then the
+starts for all. Measures of tasks already in the folder stay; page and picture show all of them.
 """
 
 import argparse
@@ -31,6 +32,7 @@ PLAYERS = {
     "rest": "no motion",
     "random": "random actions",
     "blind": "clone without touch",
+    "numb": "scripted, without touch",
     "scripted": "scripted, by touch",
     "clone": "clone, by touch",
     "truth": "planner with the truth",
@@ -40,15 +42,20 @@ PLAYERS = {
 def main() -> None:
     """Play, and write numbers, page and picture."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("run", type=Path, help="folder of a finished `vitac train clone`")
-    parser.add_argument("--scripted", type=Path, help="folder of a submission that plays the task by touch")
+    parser.add_argument("task", help="name of a task that has an expert, such as slip")
+    parser.add_argument("scripted", type=Path, help="folder of a submission that plays the task by touch")
+    parser.add_argument("--clone", type=Path, help="folder of a finished `vitac train clone`")
+    parser.add_argument("--starts", type=int, default=60, help="how many, where there is no clone")
     parser.add_argument("--to", type=Path, default=FOLDER, help="folder of the results")
     options = parser.parse_args()
-    plan = json.loads((options.run / "run.json").read_text())["recipe"]
-    gain = json.loads((options.run / "gain.json").read_text())
-    _, task = find_task(plan["task"])
-    starts = [{"rng_seed": (stream(plan["seed"], Use.REPORT), number)} for number in range(gain["episodes"])]
-    solved = {"blind": gain["blind_successes"], "clone": gain["standard_successes"]}
+    _, task = find_task(options.task)
+    seed, number_of_starts, solved = SEED, options.starts, {}
+    if options.clone is not None:
+        seed = json.loads((options.clone / "run.json").read_text())["recipe"]["seed"]
+        gain = json.loads((options.clone / "gain.json").read_text())
+        number_of_starts = gain["episodes"]
+        solved = {"blind": gain["blind_successes"], "clone": gain["standard_successes"]}
+    starts = [{"rng_seed": (stream(seed, Use.REPORT), number)} for number in range(number_of_starts)]
     solved |= {name: play(task, starts, begin) for name, begin in players(task, options.scripted).items()}
     expert = Expert(task)
     solved["truth"] = sum(bool(expert.play(start, PLANS[:1]).info["is_success"]) for start in starts)
@@ -62,29 +69,37 @@ def main() -> None:
         picture(stored).savefig(options.to / "touch_worth.svg", metadata={"Date": None})
 
 
-def players(task: Task, scripted: Path | None) -> dict[str, Callable[[int], Act]]:
+def players(task: Task, scripted: Path) -> dict[str, Callable[[int], Act]]:
     """Return by name what begins the policy of an episode of that number."""
     size = len(task.actions)
+    [file] = scripted.rglob("policy.py")
+    policy = run_path(str(file))["Policy"]()
 
     def draw(number: int) -> Act:
         random = np.random.default_rng([SEED, number])
         return lambda _: random.uniform(-1, 1, size).astype(np.float32)
 
-    begins: dict[str, Callable[[int], Act]] = {
+    def begin(_: int) -> Act:
+        policy.reset(task)
+        act: Act = policy.act
+        return act
+
+    def begin_numb(number: int) -> Act:
+        act = begin(number)
+        felt: dict[str, Any] = {}
+
+        def act_without_touch(observation: Mapping[str, Any]) -> NDArray[np.float32]:
+            felt.setdefault("marker_flow", observation["marker_flow"])
+            return act({**observation, **felt})
+
+        return act_without_touch
+
+    return {
         "rest": lambda _: lambda _: np.zeros(size, dtype=np.float32),
         "random": draw,
+        "numb": begin_numb,
+        "scripted": begin,
     }
-    if scripted is not None:
-        [file] = scripted.rglob("policy.py")
-        policy = run_path(str(file))["Policy"]()
-
-        def begin(_: int) -> Act:
-            policy.reset(task)
-            act: Act = policy.act
-            return act
-
-        begins["scripted"] = begin
-    return begins
 
 
 def play(task: Task, starts: list[dict[str, Any]], begin: Callable[[int], Act]) -> int:

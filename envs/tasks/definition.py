@@ -116,6 +116,8 @@ class TaskDefinition:
         methods: settings of what measures for an observation, as dataclasses; part of a track's digest.
         perspective: place of the `Perspective` it is drawn from; None where it is not drawn.
         guided_motion: place of the `NextAction` that goes to its target; None where there is none.
+        can_go_back: whether what went too far can be taken back; where not, a clone of who plays by `guided_motion`
+            learns to go short of it.
         family: what it needs to run.
         control_mode: what an action moves, by the environment's own name; None where there is one way only.
         repeats: whether the same actions give the same states to the last bit; a log is verified within tolerance
@@ -139,6 +141,7 @@ class TaskDefinition:
     methods: tuple["DataclassInstance", ...] = ()
     perspective: str | None = None
     guided_motion: str | None = None
+    can_go_back: bool = True
     family: Family = Family.TACTILE
     control_mode: str | None = None
     repeats: bool = True

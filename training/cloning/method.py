@@ -31,7 +31,7 @@ from ..run import Folder, Tell, claimed, format_rate
 from ..sensor import make_sensor
 from ..streams import Use, stream
 from . import policy
-from .playing import ClonedEpisodes, ClonedTask, Network, join
+from .playing import ClonedEpisodes, ClonedTask, Network, cautious, join, squared
 from .policy import MARKERS, PICTURE, FloatArray, make_windows
 
 FILE_EPISODES = 25
@@ -130,7 +130,9 @@ class Cloning:
     progress: TrainingProgress = field(default_factory=TrainingProgress)
 
     def __post_init__(self) -> None:
-        self._stage = ClonedTask(find_task(self.plan.task)[1], self.keys, self.design)
+        task = find_task(self.plan.task)[1]
+        self._stage = ClonedTask(task, self.keys, self.design)
+        self._loss = squared if task.definition.can_go_back else cautious
 
     def go(self) -> list[Round]:
         """Do what is left, and return what all rounds found.
@@ -210,7 +212,9 @@ class Cloning:
         for step in range(plan.gradient_steps):
             chosen = random.integers(len(inputs), size=plan.batch)
             learning_rate = plan.learning_rate * 0.1 ** (step / plan.gradient_steps)
-            network.learn(inputs[chosen], played.actions[chosen], rate=learning_rate, decay=plan.weight_decay)
+            network.learn(
+                inputs[chosen], played.actions[chosen], rate=learning_rate, decay=plan.weight_decay, loss=self._loss
+            )
         return {**network.parameters, "mean": mean, "scale": scale}
 
     def export(self, number: int, sensor: Path | None) -> Path:

@@ -1,10 +1,10 @@
 """The network of a cloned policy and the episodes that it learns from.
 
-Each env step of an episode has the action that the expert would take; the network learns by mean squared error, by
-Adam, in NumPy.
+Each env step of an episode has the action that the expert would take; the network learns by mean squared error, or
+quantiles where nothing can be taken back, by Adam, in NumPy.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -22,6 +22,12 @@ SPREAD = 0.6
 """Largest standard deviation of the noise on the expert's actions; each of its episodes draws its own."""
 NEAR = np.array([1.0, 1.0, 1.5])
 """Offset [mm, mm, degree] within which the expert lowers a peg: a policy that cannot see it never gets to none."""
+CAUTION = 0.25
+"""Part of the expert's actions at what is felt that are smaller than what a cautious policy does."""
+ROUNDING = 0.03
+"""Errors of actions below which the loss of quantiles is rounded off."""
+Loss = Callable[[FloatArray, FloatArray], tuple[float, FloatArray]]
+"""Returns the mean loss, and its slopes, of the outputs for the expert's actions; shapes [n, a]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -125,27 +131,47 @@ class Network:
             self.parameters[f"bias{number}"] = np.zeros(shape[1], dtype=np.float32)
         self.adam = Adam(self.parameters)
 
-    def learn(self, inputs: FloatArray, actions: FloatArray, *, rate: float, decay: float) -> float:
-        """Make one gradient step, let the weights decay (Loshchilov and Hutter 2019), and return the error before.
+    def learn(self, inputs: FloatArray, actions: FloatArray, *, rate: float, decay: float, loss: Loss) -> float:
+        """Make one gradient step, let the weights decay (Loshchilov and Hutter 2019), and return the loss before.
 
         Args:
             inputs: shape [n, i].
             actions: of the expert, shape [n, a].
             rate: of learning.
             decay: part of the rate by which weights, not biases, get smaller.
+            loss: of the outputs.
 
         Raises:
             TrainingDiverged: it is no finite number.
         """
         layers = compute_layers(self.parameters, inputs)
-        slope = layers[-1] - actions
-        loss = float((slope * slope).mean())
-        if not np.isfinite(loss):
-            raise TrainingDiverged(f"The loss is {loss} after {self.adam.steps} gradient steps; expected a number.")
-        self.adam.descend(compute_gradients(self.parameters, layers, slope * np.float32(2.0 / slope.size)), rate)
+        mean, slopes = loss(layers[-1], actions)
+        if not np.isfinite(mean):
+            raise TrainingDiverged(f"The loss is {mean} after {self.adam.steps} gradient steps; expected a number.")
+        self.adam.descend(compute_gradients(self.parameters, layers, slopes), rate)
         for number in range(LAYERS):
             self.parameters[f"weight{number}"] *= np.float32(1.0 - rate * decay)
-        return loss
+        return mean
+
+
+def squared(outputs: FloatArray, actions: FloatArray) -> tuple[float, FloatArray]:
+    """Return the mean squared error, by which outputs become the mean of the expert's actions; a `Loss`."""
+    errors = outputs - actions
+    return float((errors * errors).mean()), errors * np.float32(2.0 / errors.size)
+
+
+def cautious(outputs: FloatArray, actions: FloatArray) -> tuple[float, FloatArray]:
+    """Return the loss by which the size of an output becomes a low quantile of the expert's actions; a `Loss`.
+
+    The quantile loss of Koenker and Bassett (1978), rounded off. One that goes further than the expert costs more.
+    """
+    errors = outputs - actions
+    sizes = np.abs(errors)
+    is_too_far = (errors > 0.0) == (outputs > 0.0)
+    weights = np.where(is_too_far, np.float32(1.0 - CAUTION), np.float32(CAUTION))
+    losses = np.where(sizes < ROUNDING, 0.5 * sizes * sizes / ROUNDING, sizes - 0.5 * ROUNDING)
+    slopes = weights * np.clip(errors / np.float32(ROUNDING), -1.0, 1.0) / np.float32(errors.size)
+    return float((weights * losses).mean()), slopes
 
 
 def compute_gradients(

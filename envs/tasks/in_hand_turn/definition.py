@@ -99,6 +99,7 @@ TASK = TaskDefinition(
     start_labels=("gap {} mm", "rod at {}°", "goal {}°"),
     perspective="vitac.envs.tasks.in_hand_turn.definition:PERSPECTIVE",
     guided_motion="vitac.envs.tasks.in_hand_turn.env:press_until_it_stays",
+    can_go_back=False,
     quantities=(*TOUCH_QUANTITIES, HELD),
 )
 

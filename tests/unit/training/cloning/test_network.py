@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from vitac.training.cloning.playing import Network, compute_gradients
+from vitac.training.cloning.playing import CAUTION, Loss, Network, cautious, compute_gradients, squared
 from vitac.training.cloning.policy import compute_layers
 from vitac.training.learning.network import TrainingDiverged
 
@@ -35,7 +35,7 @@ def test_learns_and_weights_decay() -> None:
     sizes = {}
     for decay in (0.0, 5.0):
         network = Network((3, 16, 16, 2), np.random.default_rng(2))
-        losses = [network.learn(inputs, actions, rate=3e-3, decay=decay) for _ in range(200)]
+        losses = [network.learn(inputs, actions, rate=3e-3, decay=decay, loss=squared) for _ in range(200)]
         assert losses[-1] < losses[0] / 5
         sizes[decay] = sum(float(np.square(network.parameters[f"weight{number}"]).sum()) for number in range(3))
     assert sizes[5.0] < 0.7 * sizes[0.0]
@@ -44,4 +44,31 @@ def test_learns_and_weights_decay() -> None:
 def test_loss_that_is_no_number_stops() -> None:
     network = Network((1, 2, 2, 1), np.random.default_rng(0))
     with pytest.raises(TrainingDiverged, match="The loss is nan after 0 gradient steps"):
-        network.learn(np.full((1, 1), np.nan, np.float32), np.zeros((1, 1), np.float32), rate=1e-3, decay=0.0)
+        network.learn(
+            np.full((1, 1), np.nan, np.float32), np.zeros((1, 1), np.float32), rate=1e-3, decay=0.0, loss=squared
+        )
+
+
+@pytest.mark.parametrize("loss", [squared, cautious])
+def test_slopes_of_a_loss_are_those_of_differences(loss: Loss) -> None:
+    random = np.random.default_rng(3)
+    outputs, actions = random.standard_normal((2, 5, 2))
+    outputs[0] = actions[0] + 0.01
+    _, slopes = loss(outputs, actions)
+    for place in np.ndindex(outputs.shape):
+        above, below = outputs.copy(), outputs.copy()
+        above[place] += 1e-6
+        below[place] -= 1e-6
+        difference = (loss(above, actions)[0] - loss(below, actions)[0]) / 2e-6
+        assert slopes[place] == pytest.approx(difference, rel=1e-4, abs=1e-7), place
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_cautious_policy_goes_less_far_than_most_of_what_the_expert_does(sign: float) -> None:
+    network = Network((1, 8, 8, 1), np.random.default_rng(4))
+    actions = sign * np.linspace(0.0, 1.0, 201, dtype=np.float32)[:, np.newaxis]
+    inputs = np.ones_like(actions)
+    for step in range(600):
+        network.learn(inputs, actions, rate=1e-2 * 0.1 ** (step / 300), decay=0.0, loss=cautious)
+    [output] = compute_layers(network.parameters, inputs[:1])[-1][0]
+    assert output == pytest.approx(sign * CAUTION, abs=0.03)
