@@ -228,6 +228,11 @@ def _print_text(gap: Gap) -> None:
         print(f"Pearson's correlation of success rates: {_text(gap.pearson, 1, '')}")
     if gap.mean_maximum_rank_violation is not None:
         print(f"Mean maximum rank violation: {_text(gap.mean_maximum_rank_violation, 1, '')}")
+    chance = gap.by_chance
+    print(
+        f"Without any gap, so many episodes show by chance a difference of up to {100 * chance.difference:.1f} points "
+        f"and a rank violation of up to {chance.mean_maximum_rank_violation:.3f} (95 %)."
+    )
     if len(gap.policies) < ASKED_POLICIES:
         print(
             f"Correlation and rank violation say little of {len(gap.policies)} policies; play {ASKED_POLICIES} or "

@@ -18,6 +18,7 @@ ASKED_POLICIES: Final = 10
 _RESAMPLES: Final = 2000
 _SEED: Final = 0
 _OUTER: Final = (2.5, 97.5)
+_MOST: Final = 95.0
 
 
 class NoGap(VitacError):
@@ -60,6 +61,16 @@ class PolicyGap(StrictModel):
     neither: NonNegativeInt
 
 
+class ByChance(StrictModel):
+    """What 95 % of comparisons stay within where there is no gap.
+
+    So many episodes, each solved in simulation and at the station with the same chance, that of its policy in both.
+    """
+
+    difference: float = Field(ge=0)
+    mean_maximum_rank_violation: float = Field(ge=0)
+
+
 class Gap(StrictModel):
     """All policies together."""
 
@@ -72,6 +83,7 @@ class Gap(StrictModel):
     """Correlation of the success rates; None where all policies have one rate in one of them."""
     mean_maximum_rank_violation: Measured | None
     """Of the ranking in simulation against that at the station; None for one policy."""
+    by_chance: ByChance
 
 
 def measure_gap(policies: Sequence[PlayedTwice], starts: Mapping[int, Hashable]) -> Gap:
@@ -97,6 +109,7 @@ def measure_gap(policies: Sequence[PlayedTwice], starts: Mapping[int, Hashable])
         agreement=_measured(agreement, tallies),
         pearson=_measured(pearson, tallies) if several and not np.isnan(pearson(tallies.sum(axis=0))) else None,
         mean_maximum_rank_violation=_measured(mean_maximum_rank_violation, tallies) if several else None,
+        by_chance=_by_chance(tallies.sum(axis=0)),
     )
 
 
@@ -179,6 +192,17 @@ def _measured(statistic: Callable[[FloatArray], FloatArray], tallies: FloatArray
     values = statistic(resamples[(resamples[..., 0] > 0).all(axis=-1)])
     low, high = np.nanpercentile(values, _OUTER).tolist()
     return Measured(value=float(statistic(tallies.sum(axis=0))), low=low, high=high)
+
+
+def _by_chance(tally: FloatArray) -> ByChance:
+    counts = tally[:, 0].astype(np.int64)
+    random, shape = np.random.default_rng(_SEED), (_RESAMPLES, len(counts))
+    solved = [random.binomial(counts, (tally[:, 1] + tally[:, 2]) / (2 * counts), shape) for _ in range(2)]
+    drawn = np.stack([np.broadcast_to(counts, shape), *solved, np.zeros(shape)], axis=-1)
+    return ByChance(
+        difference=float(np.percentile(np.abs(mean_difference(drawn)), _MOST)),
+        mean_maximum_rank_violation=float(np.percentile(mean_maximum_rank_violation(drawn), _MOST)),
+    )
 
 
 def _policy_gap(policy: PlayedTwice, starts: Mapping[int, Hashable]) -> PolicyGap:

@@ -74,6 +74,18 @@ def test_the_same_files_give_the_same_figures() -> None:
     assert gap_of((12, 9), (6, 3)) == gap_of((12, 9), (6, 3))
 
 
+def test_chance_alone_violates_ranks_by_as_much_as_few_episodes_tell_policies_apart() -> None:
+    """Two policies of one true rate of a half: their order turns round by chance, and more episodes show less."""
+    few = gap_of((6, 6), (6, 6)).by_chance
+    many = {episode: (episode % 2 == 0, episode % 2 == 0) for episode in range(1, 1201)}
+    policies = [PlayedTwice(name=name, ends=many) for name in ("one", "other")]
+    [small] = {measure_gap(policies, dict(zip(many, many, strict=True))).by_chance.mean_maximum_rank_violation}
+    # The difference of two rates of 12 episodes has a standard deviation of 0.2; 5 % of its sizes are above twice that.
+    assert 0.33 <= few.mean_maximum_rank_violation <= 0.42
+    assert few.difference == pytest.approx(1.96 * (2 * 0.25 / 12 / 2) ** 0.5, abs=0.05)
+    assert small == pytest.approx(few.mean_maximum_rank_violation / 10, rel=0.2)
+
+
 def test_nothing_in_common_is_refused() -> None:
     with pytest.raises(NoGap, match="Expected episodes of nobody that simulation and station have both played"):
         measure_gap([PlayedTwice(name="nobody", ends={})], {})
