@@ -103,6 +103,14 @@ _FIGURES = (
         {"angle_error_deg": 3.1147},
     ),
     _Figures(
+        "in_hand_turn",
+        "in-hand-turn",
+        "in_hand_turn_cloned",
+        {"narrow": (32, 28), "wide": (41, 19)},
+        14.00,
+        {"angle_error_deg": 0.8838},
+    ),
+    _Figures(
         "slip",
         "slip",
         "slip_scripted",
