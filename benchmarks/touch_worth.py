@@ -1,8 +1,8 @@
 """What touch is worth in a task: policies without it, with it and with the truth, on the same fresh starts.
 
-Usage: python benchmarks/touch_worth.py TASK SCRIPTED [--clone RUN] [--starts N] [--to FOLDER]
+Usage: python benchmarks/touch_worth.py TASK EXAMPLE [--clone RUN] [--starts N] [--to FOLDER]
 
-On the same starts play: no motion, random actions, the submission in the folder SCRIPTED, the same with the markers as
+On the same starts play: no motion, random actions, the submission in the folder EXAMPLE, the same with the markers as
 they were at the start, and the planner that knows the truth (its first plan). RUN is the folder of a finished
 `vitac train clone`, which holds what its policy and a blind one solved of the starts that it reports; they are then the
 starts for all. Measures of tasks already in the folder stay; page and picture show all of them.
@@ -32,8 +32,8 @@ PLAYERS = {
     "rest": "no motion",
     "random": "random actions",
     "blind": "clone without touch",
-    "numb": "scripted, without touch",
-    "scripted": "scripted, by touch",
+    "hidden": "example, touch hidden",
+    "example": "example, by touch",
     "clone": "clone, by touch",
     "truth": "planner with the truth",
 }
@@ -43,7 +43,7 @@ def main() -> None:
     """Play, and write numbers, page and picture."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("task", help="name of a task that has an expert, such as slip")
-    parser.add_argument("scripted", type=Path, help="folder of a submission that plays the task by touch")
+    parser.add_argument("example", type=Path, help="folder of a submission that plays the task by touch")
     parser.add_argument("--clone", type=Path, help="folder of a finished `vitac train clone`")
     parser.add_argument("--starts", type=int, default=60, help="how many, where there is no clone")
     parser.add_argument("--to", type=Path, default=FOLDER, help="folder of the results")
@@ -56,7 +56,7 @@ def main() -> None:
         number_of_starts = gain["episodes"]
         solved = {"blind": gain["blind_successes"], "clone": gain["standard_successes"]}
     starts = [{"rng_seed": (stream(seed, Use.REPORT), number)} for number in range(number_of_starts)]
-    solved |= {name: play(task, starts, begin) for name, begin in players(task, options.scripted).items()}
+    solved |= {name: play(task, starts, begin) for name, begin in players(task, options.example).items()}
     expert = Expert(task)
     solved["truth"] = sum(bool(expert.play(start, PLANS[:1]).info["is_success"]) for start in starts)
     path = options.to / "touch_worth.json"
@@ -69,10 +69,10 @@ def main() -> None:
         picture(stored).savefig(options.to / "touch_worth.svg", metadata={"Date": None})
 
 
-def players(task: Task, scripted: Path) -> dict[str, Callable[[int], Act]]:
+def players(task: Task, example: Path) -> dict[str, Callable[[int], Act]]:
     """Return by name what begins the policy of an episode of that number."""
     size = len(task.actions)
-    [file] = scripted.rglob("policy.py")
+    [file] = example.rglob("policy.py")
     policy = run_path(str(file))["Policy"]()
 
     def draw(number: int) -> Act:
@@ -84,7 +84,7 @@ def players(task: Task, scripted: Path) -> dict[str, Callable[[int], Act]]:
         act: Act = policy.act
         return act
 
-    def begin_numb(number: int) -> Act:
+    def begin_without_touch(number: int) -> Act:
         act = begin(number)
         felt: dict[str, Any] = {}
 
@@ -97,8 +97,8 @@ def players(task: Task, scripted: Path) -> dict[str, Callable[[int], Act]]:
     return {
         "rest": lambda _: lambda _: np.zeros(size, dtype=np.float32),
         "random": draw,
-        "numb": begin_numb,
-        "scripted": begin,
+        "hidden": begin_without_touch,
+        "example": begin,
     }
 
 
