@@ -66,7 +66,8 @@ def main() -> None:
     path.write_text(json.dumps(stored, indent=1) + "\n")
     (options.to / "README.md").write_text(page(stored))
     with mpl.rc_context({"svg.hashsalt": "touch_worth"}):
-        picture(stored).savefig(options.to / "touch_worth.svg", metadata={"Date": None})
+        none = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+        picture(stored).savefig(options.to / "touch_worth.svg", metadata=none)
 
 
 def players(task: Task, example: Path) -> dict[str, Callable[[int], Act]]:

@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -21,6 +22,7 @@ from vitac.station.trial import Attempt
 from vitac.station.trials import TrialPlayer
 from vitac.station.twin.hidden import HiddenSettings
 from vitac.station.twin.laboratory import twin_process
+from waiting import until
 
 TASK = load_track("track_1").tasks["peg-insertion"]
 TABLET, PORTRAIT = (1024, 768), (768, 1024)
@@ -97,7 +99,7 @@ def test_two_operators_play_a_trial_help_it_stop_the_next_and_release_the_statio
     assert refused["error"] == "This was decided already (accept). Look at the page as it is now."
     expect(page.locator("#text")).to_contain_text("The peg hangs in free air.", timeout=LIMIT_MS)
     for camera in ("left", "right", "overview"):
-        assert page.locator(f"[data-camera={camera}] img").evaluate("image => image.naturalWidth") > 0
+        until(page, partial(page.locator(f"[data-camera={camera}] img").evaluate, "image => image.naturalWidth"))
     page.get_by_role("button", name="Grasp again").click()
     expect(page.locator("#question")).to_be_hidden()
     expect(page.locator("#text")).to_contain_text("The peg hangs in free air.", timeout=LIMIT_MS)
