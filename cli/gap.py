@@ -228,10 +228,11 @@ def _print_text(gap: Gap) -> None:
         print(f"Pearson's correlation of success rates: {_text(gap.pearson, 1, '')}")
     if gap.mean_maximum_rank_violation is not None:
         print(f"Mean maximum rank violation: {_text(gap.mean_maximum_rank_violation, 1, '')}")
-    chance = gap.by_chance
+    violation = gap.by_chance.mean_maximum_rank_violation
     print(
-        f"Without any gap, so many episodes show by chance a difference of up to {100 * chance.difference:.1f} points "
-        f"and a rank violation of up to {chance.mean_maximum_rank_violation:.3f} (95 %)."
+        "Chance alone, without any gap, would show in 95 % of comparisons of this size a difference of up to "
+        f"{100 * gap.by_chance.difference:.1f} points"
+        + ("." if violation is None else f" and a rank violation of up to {violation:.3f}.")
     )
     if len(gap.policies) < ASKED_POLICIES:
         print(

@@ -62,13 +62,14 @@ class PolicyGap(StrictModel):
 
 
 class ByChance(StrictModel):
-    """What 95 % of comparisons stay within where there is no gap.
+    """What 95 % of comparisons of this size stay within where there is no gap.
 
-    So many episodes, each solved in simulation and at the station with the same chance, that of its policy in both.
+    Each episode is then solved with the mean rate of its policy, drawn apart for simulation and station.
     """
 
     difference: float = Field(ge=0)
-    mean_maximum_rank_violation: float = Field(ge=0)
+    mean_maximum_rank_violation: float | None = Field(ge=0)
+    """None for one policy."""
 
 
 class Gap(StrictModel):
@@ -199,9 +200,10 @@ def _by_chance(tally: FloatArray) -> ByChance:
     random, shape = np.random.default_rng(_SEED), (_RESAMPLES, len(counts))
     solved = [random.binomial(counts, (tally[:, 1] + tally[:, 2]) / (2 * counts), shape) for _ in range(2)]
     drawn = np.stack([np.broadcast_to(counts, shape), *solved, np.zeros(shape)], axis=-1)
+    violation = np.percentile(mean_maximum_rank_violation(drawn), _MOST) if len(counts) > 1 else None
     return ByChance(
         difference=float(np.percentile(np.abs(mean_difference(drawn)), _MOST)),
-        mean_maximum_rank_violation=float(np.percentile(mean_maximum_rank_violation(drawn), _MOST)),
+        mean_maximum_rank_violation=None if violation is None else float(violation),
     )
 
 

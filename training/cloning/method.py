@@ -31,7 +31,7 @@ from ..run import Folder, Tell, claimed, format_rate
 from ..sensor import make_sensor
 from ..streams import Use, stream
 from . import policy
-from .playing import ClonedEpisodes, ClonedTask, Network, cautious, join, squared
+from .playing import ClonedEpisodes, ClonedTask, Network, join
 from .policy import MARKERS, PICTURE, FloatArray, make_windows
 
 FILE_EPISODES = 25
@@ -130,9 +130,7 @@ class Cloning:
     progress: TrainingProgress = field(default_factory=TrainingProgress)
 
     def __post_init__(self) -> None:
-        task = find_task(self.plan.task)[1]
-        self._stage = ClonedTask(task, self.keys, self.design)
-        self._loss = squared if task.definition.can_go_back else cautious
+        self._stage = ClonedTask(find_task(self.plan.task)[1], self.keys, self.design)
 
     def go(self) -> list[Round]:
         """Do what is left, and return what all rounds found.
@@ -213,7 +211,11 @@ class Cloning:
             chosen = random.integers(len(inputs), size=plan.batch)
             learning_rate = plan.learning_rate * 0.1 ** (step / plan.gradient_steps)
             network.learn(
-                inputs[chosen], played.actions[chosen], rate=learning_rate, decay=plan.weight_decay, loss=self._loss
+                inputs[chosen],
+                played.actions[chosen],
+                rate=learning_rate,
+                decay=plan.weight_decay,
+                loss=self._stage.loss,
             )
         return {**network.parameters, "mean": mean, "scale": scale}
 

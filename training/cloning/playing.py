@@ -67,6 +67,11 @@ class ClonedTask:
         keys: what a policy observes.
         sensor: design of both sensors, where the task has one.
 
+    Attributes:
+        env: the environment.
+        n_actions: numbers of an action.
+        loss: by which a network learns from the expert.
+
     Raises:
         NoExpert: the task says no way to its target.
     """
@@ -75,6 +80,7 @@ class ClonedTask:
         self._expert = Expert(task, keys, **({} if sensor is None else {"sensor": sensor}))
         self.env = self._expert.env
         self.n_actions = len(task.actions)
+        self.loss: Loss = squared if task.definition.can_go_back else cautious
 
     def play(self, seed: int, numbers: Sequence[int], weights: Mapping[str, FloatArray] | None) -> ClonedEpisodes:
         """Play episodes of a stream by the weights of a policy, or by the expert with noise where there are none."""

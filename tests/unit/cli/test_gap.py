@@ -1,4 +1,5 @@
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,7 @@ def test_trials_that_count_are_paired_with_their_episodes(tmp_path: Path, capsys
     code, out, _ = run(capsys, *files)
     assert code == 0
     assert "Episodes that end alike: 33.3 %" in out
+    assert re.search(r"^Chance alone, without any gap, .* of up to [0-9.]+ points\.$", out, re.MULTILINE)
     assert "say little of 1 policies; play 10 or more" in out
 
 

@@ -146,3 +146,11 @@ def test_expert_lowers_a_peg_that_is_nearly_over_its_hole(monkeypatch: pytest.Mo
         action = stage.expert_action({"gt_offset_mm_deg": np.array([9.0, 9.0, 9.0, 10.1])}, random)
         assert action[3] == pytest.approx(-down, abs=1e-6)
         assert (action[0] == 0.0) == (down == 1.0)
+
+
+@pytest.mark.parametrize(("task", "loss"), [("fusion-insertion", playing.squared), ("in-hand-turn", playing.cautious)])
+def test_caution_is_learned_where_nothing_can_be_taken_back(
+    task: str, loss: playing.Loss, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(expert, "make_environment", lambda *_, **__: None)
+    assert playing.ClonedTask(find_task(task)[1], ()).loss is loss
