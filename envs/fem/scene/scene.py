@@ -48,6 +48,8 @@ _PATH_ITERATIONS = 35
 _UNBALANCED_PART = 1e-8
 # In how many shorter IPC steps one is played that has no solution.
 _SHORTER_STEPS = (4, 16, 64)
+# Parts of friction that are left, one after the other, in an IPC step that has no solution in any other way.
+_FRICTION_LEFT = (0.5, 0.25, 0.125, 0.0)
 
 
 class StepStatus(StrEnum):
@@ -59,6 +61,7 @@ class StepStatus(StrEnum):
     RELAXED = "relaxed"  # solved after the forces were relaxed along their flow
     SHORTENED = "shortened"  # played as several shorter IPC steps, each solved
     CONTINUED = "continued"  # solved by following balances from the start, while held forces were let go
+    GAVE_WAY = "gave_way"  # solved with part of the friction, as with all of it there was no solution
     CUT_OFF = "cut_off"  # ended after the iterations of `CutOffSolverSettings`, not solved
     NOT_CONVERGED = "not_converged"  # not solved; the state is free of intersections but is not a minimum
 
@@ -272,6 +275,8 @@ class Scene:
         if attempt.status is StepStatus.NOT_CONVERGED:
             self.restore(before)
             attempt = self._advance(target, load_n, effort, self._continue)
+        if attempt.status is StepStatus.NOT_CONVERGED and self._model.parameters.remembers_slip:
+            attempt = self._give_way(before, target, load_n, effort)
         force, torque = self._net_load(self._workspace.system.gradient)
         counts, measures = effort.record
         largest_stretch, high_stretch = measure_stretches(self._model.elastic, self._model.hexahedra, self._x)
@@ -357,6 +362,16 @@ class Scene:
             where = f"the edge from {ends[0]} to {ends[1]} m crosses the triangle {corners} m"
         raise SceneError(f"{names[0]} and {names[1]} overlap at the start: {where}; place them apart.")
 
+    def _take_friction(self, part: float) -> None:
+        """Let surfaces rub as they do in this IPC step, or with a part of that."""
+        surfaces = self._surfaces
+        if isinstance(self._contact, ArenaContactSettings) and self._contact.weakening is not None:
+            surfaces = self._weaken(self._contact.weakening)
+        if part != 1.0:
+            surfaces = surfaces._replace(pair_friction=part * surfaces.pair_friction)
+        if surfaces is not self._model.surfaces:
+            self._model = self._model._replace(surfaces=surfaces)
+
     def _weaken(self, law: FrictionWeakening) -> Surfaces:
         y, velocity = np.empty((2, len(self._model.points.node_count), 3))
         point_positions(self._model.points, self._x, y)
@@ -419,8 +434,12 @@ class Scene:
         load_n: FloatArray,
         effort: _Effort,
         solve: Callable[[_Attempt], tuple[StepStatus, int]],
+        friction: float = 1.0,
     ) -> _Attempt:
-        """Move the prescribed nodes to their targets in an IPC step that is solved as given; return how that ended."""
+        """Move the prescribed nodes to their targets in an IPC step that is solved as given; return how that ended.
+
+        `friction` is the part of it that is left.
+        """
         self._couple_touching_gels()
         start, time_step_s = self._x.copy(), self._time_step_s
         attempt = _Attempt(
@@ -433,8 +452,7 @@ class Scene:
             effort=effort,
         )
         self._last_start = start, self._memory
-        if isinstance(self._contact, ArenaContactSettings) and self._contact.weakening is not None:
-            self._model = self._model._replace(surfaces=self._weaken(self._contact.weakening))
+        self._take_friction(friction)
         if len(self._viscous_strain):
             self._workspace.hexahedron.held_pa[:] = held_stress_pa(self._branches, self._viscous_strain)
         attempt.status, attempt.parts = solve(attempt)
@@ -467,6 +485,16 @@ class Scene:
                 attempt.status, attempt.parts = StepStatus.SHORTENED, count
                 break
         self._set_time_step(whole_s)
+        return attempt
+
+    def _give_way(self, before: SceneState, target: FloatArray, load_n: FloatArray, effort: _Effort) -> _Attempt:
+        """Play an IPC step with less and less friction until it is solved; without any there is a least energy."""
+        for part in _FRICTION_LEFT:
+            self.restore(before)
+            attempt = self._advance(target, load_n, effort, self._solve, friction=part)
+            if attempt.status is not StepStatus.NOT_CONVERGED:
+                attempt.status = StepStatus.GAVE_WAY
+                break
         return attempt
 
     def _set_time_step(self, time_step_s: float) -> None:

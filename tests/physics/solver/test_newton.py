@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from small_scenes import IDENTITY, Grip, arena_contact, driven_positions_m
 from vitac.envs.fem.model.mesh import GelBody, RigidBody
 from vitac.envs.fem.model.settings import CutOffSolverSettings, SolverSettings
+from vitac.envs.fem.scene import scene
 from vitac.envs.fem.scene.scene import Scene, StepReport, StepStatus
 
 FloatArray = NDArray[np.float64]
@@ -140,6 +141,32 @@ def test_a_step_that_is_not_solved_is_played_as_shorter_ones_with_inertia_and_fr
         assert last.status is StepStatus.CONVERGED
     assert grip.scene.state_bytes() == alone.state_bytes()
     assert (report.residual_n, report.gel_forces_n) == (last.residual_n, last.gel_forces_n)
+
+
+def test_a_step_without_a_solution_gives_way_with_less_friction_and_the_next_one_has_all_of_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """In eight iterations it is solved with half of the friction only."""
+    few = replace(STANDARD, newton_iterations=8, phase_iterations=8, division_levels=0)
+    monkeypatch.setattr(scene, "_SHORTER_STEPS", (1,))
+    monkeypatch.setattr(Scene, "_continue", lambda *_: (StepStatus.NOT_CONVERGED, 1))
+    grip = Grip(contact=arena_contact(2.0))
+    grip.squeeze(2e-4)
+    half, whole = [
+        Scene(gels=grip.gels, bodies=[grip.body], time_step_s=0.1, contact=arena_contact(friction), solver=solver)
+        for friction, solver in ((1.0, few), (2.0, STANDARD))
+    ]
+    half.restore(grip.scene.state())
+    grip.scene._solver, motion = few, (np.array([1e-3, 5e-4, 0.0]), np.array([-1e-3, 3e-4, 0.0]))
+    assert grip.move(*motion).status is StepStatus.GAVE_WAY
+    half.step(driven_targets_m=grip.targets_m)
+    assert grip.scene.state_bytes() == half.state_bytes()
+    np.testing.assert_array_equal(grip.scene.contact_forces().forces_n, half.contact_forces().forces_n)
+    whole.restore(grip.scene.state())
+    grip.scene._solver = STANDARD
+    grip.move(*(0.1 * each for each in motion))
+    whole.step(driven_targets_m=grip.targets_m)
+    assert grip.scene.state_bytes() == whole.state_bytes()
 
 
 @pytest.mark.parametrize("margin_m", [1e-9, 1e-5, 1e-3])

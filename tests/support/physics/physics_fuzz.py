@@ -267,6 +267,7 @@ def summary(steps: list[FuzzedStep]) -> dict[str, float]:
         "divided": status.count(StepStatus.DIVIDED),
         "escaped_saddle": status.count(StepStatus.ESCAPED_SADDLE),
         "shortened": status.count(StepStatus.SHORTENED),
+        "gave_way": status.count(StepStatus.GAVE_WAY),
         "not_converged": status.count(StepStatus.NOT_CONVERGED),
         "intersections": sum(step.intersects for step in steps),
         "overlooked": sum(step.overlooked for step in steps),
