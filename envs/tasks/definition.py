@@ -279,6 +279,11 @@ class Flags:
             return EndReason.ERROR
         return EndReason.STEPS if self.too_many_steps else None
 
+    @property
+    def has_failed(self) -> bool:
+        """Whether the episode is cut off by more than the end of its env steps."""
+        return self.force_too_large or self.tactile_movement_too_large or self.error_too_large
+
 
 def surface_moved_too_far(surface_diff_m: NDArray[np.float64]) -> bool:
     """Return whether the mean motion of a sensing surface since the grasp [m], shape [2], is more than allowed."""

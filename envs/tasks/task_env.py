@@ -421,6 +421,16 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
     def _info(self, flags: Flags) -> Info:
         """Return the task's own entries of `info`, in the order of the challenge's logs."""
 
+    def _common_info(self, flags: Flags) -> Info:
+        """Return the entries of `info` that most tasks begin with."""
+        return {
+            "steps": self.task_scene.env_steps,
+            "surface_diff_m": self.scene.surface_diff_m(),
+            "tactile_movement_too_large": flags.tactile_movement_too_large,
+            "too_many_steps": flags.too_many_steps,
+            "error_too_large": flags.error_too_large,
+        }
+
     def _observation(self) -> Observation:
         return {entry.name: self._value(entry) for entry in self._observables}
 

@@ -109,17 +109,12 @@ class AssemblyEnv(TactileTaskEnv[AssemblyScene, AssemblySettings]):
     def _reward(self, flags: Flags, progress: float) -> float:
         settings = self.settings
         reward = settings.stage_reward * progress - settings.step_penalty
-        failed = flags.tactile_movement_too_large or flags.error_too_large
-        return reward - (settings.failure_penalty if failed else 0.0)
+        return reward - (settings.failure_penalty if flags.has_failed else 0.0)
 
     def _info(self, flags: Flags) -> Info:
         scene = self.task_scene
         return {
-            "steps": scene.env_steps,
-            "surface_diff_m": scene.grasped.surface_diff_m(),
-            "tactile_movement_too_large": flags.tactile_movement_too_large,
-            "too_many_steps": flags.too_many_steps,
-            "error_too_large": flags.error_too_large,
+            **self._common_info(flags),
             "stage": int(scene.stage),
             "offset_mm_deg": scene.offset_mm_deg(),
             "relative_motion_mm_deg": scene.relative_motion_mm_deg(),

@@ -109,7 +109,7 @@ def reward(
     final = 0.0
     if flags.is_success:
         final = final_reward
-    elif flags.force_too_large or flags.tactile_movement_too_large or flags.error_too_large:
+    elif flags.has_failed:
         final = -failure_penalty
     surface_mm = np.clip(surface_diff_m * 1e3, *_SURFACE_MM)
     return float(progress - step_penalty - (float((10.0 / (1.55 - surface_mm)).sum()) - 15.0) + final)

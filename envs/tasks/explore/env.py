@@ -90,11 +90,7 @@ class ExploreEnv(TactileTaskEnv[ExploreScene, ExploreSettings]):
     def _info(self, flags: Flags) -> Info:
         scene = self.task_scene
         return {
-            "steps": scene.env_steps,
-            "surface_diff_m": scene.grasped.surface_diff_m(),
-            "tactile_movement_too_large": flags.tactile_movement_too_large,
-            "too_many_steps": flags.too_many_steps,
-            "error_too_large": flags.error_too_large,
+            **self._common_info(flags),
             "relative_motion_mm": scene.position_mm(),
             "confidences": scene.confidences,
             "brier_score": scene.brier_score(),

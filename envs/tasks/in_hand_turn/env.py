@@ -80,11 +80,7 @@ class InHandTurnEnv(TactileTaskEnv[InHandTurnScene, InHandTurnSettings]):
     def _info(self, flags: Flags) -> Info:
         scene = self.task_scene
         return {
-            "steps": scene.env_steps,
-            "surface_diff_m": scene.grasped.surface_diff_m(),
-            "tactile_movement_too_large": flags.tactile_movement_too_large,
-            "too_many_steps": flags.too_many_steps,
-            "error_too_large": flags.error_too_large,
+            **self._common_info(flags),
             "angle_deg": scene.angle_deg(),
             "goal_deg": scene.goal_deg,
             "angle_error_deg": scene.free_error_deg(),

@@ -56,7 +56,7 @@ def insertion_reward(flags: Flags, settings: InsertionSettings, *, progress: flo
         env_steps: played so far, this one included.
     """
     final = 0.0
-    if flags.force_too_large or flags.tactile_movement_too_large or flags.error_too_large:
+    if flags.has_failed:
         final = -2.0 * settings.step_penalty * (settings.max_steps - env_steps) + settings.step_penalty
     elif flags.is_success:
         final = settings.final_reward

@@ -227,7 +227,7 @@ def reward(
     final = 0.0
     if flags.is_success:
         final = final_reward
-    elif flags.force_too_large or flags.tactile_movement_too_large or flags.error_too_large:
+    elif flags.has_failed:
         final = -failure_penalty
     left, right = np.clip(surface_diff_m * 1e3, *_SURFACE_PENALTY_RANGE_MM).tolist()
     return float(-step_penalty + progress - (left + right) + final)

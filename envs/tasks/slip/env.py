@@ -86,18 +86,14 @@ class SlipEnv(TactileTaskEnv[SlipScene, SlipSettings]):
         scene, settings = self.task_scene, self.settings
         strain = scene.grasped.grip_force_n() / scene.largest_grip_n
         reward = progress - settings.step_penalty * (1.0 + strain)
-        if flags.force_too_large or flags.tactile_movement_too_large or flags.error_too_large:
+        if flags.has_failed:
             return reward - settings.failure_penalty
         return reward + (settings.final_reward if flags.is_success else 0.0)
 
     def _info(self, flags: Flags) -> Info:
         scene = self.task_scene
         return {
-            "steps": scene.env_steps,
-            "surface_diff_m": scene.grasped.surface_diff_m(),
-            "tactile_movement_too_large": flags.tactile_movement_too_large,
-            "too_many_steps": flags.too_many_steps,
-            "error_too_large": flags.error_too_large,
+            **self._common_info(flags),
             "crushed": flags.force_too_large,
             "heights_mm": scene.heights_mm(),
             "relative_motion_mm": scene.relative_motion_mm(),

@@ -76,18 +76,14 @@ class SoftPlugEnv(TactileTaskEnv[SoftPlugScene, SoftPlugSettings]):
     def _reward(self, flags: Flags, progress: float) -> float:
         settings = self.settings
         reward = progress - settings.step_penalty
-        if flags.force_too_large or flags.tactile_movement_too_large or flags.error_too_large:
+        if flags.has_failed:
             return reward - settings.failure_penalty
         return reward + (settings.final_reward if flags.is_success else 0.0)
 
     def _info(self, flags: Flags) -> Info:
         scene = self.task_scene
         return {
-            "steps": scene.env_steps,
-            "surface_diff_m": scene.grasped.surface_diff_m(),
-            "tactile_movement_too_large": flags.tactile_movement_too_large,
-            "too_many_steps": flags.too_many_steps,
-            "error_too_large": flags.error_too_large,
+            **self._common_info(flags),
             "heights_mm": scene.heights_mm(),
             "bend_mm": scene.bend_mm(),
             "largest_bend_mm": scene.largest_bend_mm,
