@@ -19,7 +19,7 @@ from physics_report.document import REPOSITORY, keep
 from physics_report.tables import GEL_QUANTITIES, Figures
 from vitac.envs.assets import Meshes
 from vitac.envs.fem.linear.elimination import factorise
-from vitac.envs.fem.scene.scene import StepReport
+from vitac.envs.fem.scene.report import StepReport
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import Clocks, Stopwatch
 from vitac.envs.tactile.gel import GelCells, GelDimensions, structured_gel

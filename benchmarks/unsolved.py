@@ -28,7 +28,7 @@ import gymnasium
 import numpy as np
 from vitac.envs import ENVIRONMENTS
 from vitac.envs.fem.model.settings import ContactModel
-from vitac.envs.fem.scene.scene import StepStatus
+from vitac.envs.fem.scene.report import StepStatus
 from vitac.envs.scene.grasped_scene import GraspedScene
 from vitac.evaluator.version import evaluator_hash
 

@@ -10,7 +10,8 @@ from small_scenes import IDENTITY, UPSIDE_DOWN, driven_positions_m
 from vitac.envs.fem.contact.forces import empty_memory
 from vitac.envs.fem.model.mesh import GelBody, GelMesh, RigidBody
 from vitac.envs.fem.model.settings import ArenaContactSettings, PairFriction
-from vitac.envs.fem.scene.scene import Scene, StepStatus
+from vitac.envs.fem.scene.report import StepStatus
+from vitac.envs.fem.scene.scene import Scene
 from vitac.envs.tasks.settings import require
 
 FloatArray = NDArray[np.float64]

@@ -25,7 +25,8 @@ from block_meshes import box_surface
 from small_scenes import IDENTITY
 from vitac.envs.fem.model.mesh import GelBody, GelMesh, RigidBody, SurfaceMesh
 from vitac.envs.fem.model.settings import ArenaContactSettings
-from vitac.envs.fem.scene.scene import Scene, StepStatus
+from vitac.envs.fem.scene.report import StepStatus
+from vitac.envs.fem.scene.scene import Scene
 from vitac.envs.scene.grasped_scene import PhysicsSettings
 from vitac.envs.tactile.gel import GelCells, arena_gel_mesh, gelsight_mini_mesh, structured_gel
 from vitac.envs.tactile.markers import attach_nodes, interpolated

@@ -9,7 +9,8 @@ from small_scenes import IDENTITY, driven_positions_m
 from vitac.envs.fem.contact.barrier import barrier
 from vitac.envs.fem.model.mesh import GelBody, RigidBody, SurfaceMesh
 from vitac.envs.fem.model.settings import ArenaContactSettings, PairFriction
-from vitac.envs.fem.scene.scene import Scene, StepStatus
+from vitac.envs.fem.scene.report import StepStatus
+from vitac.envs.fem.scene.scene import Scene
 from vitac.envs.tasks.settings import require
 
 FloatArray = NDArray[np.float64]

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from small_scenes import IDENTITY
 from vitac.envs.fem.elastic.neo_hookean import lame_parameters_pa
 from vitac.envs.fem.model.mesh import GelBody, PronyBranch
-from vitac.envs.fem.scene.scene import Scene, StepStatus
+from vitac.envs.fem.scene.report import StepStatus
+from vitac.envs.fem.scene.scene import Scene
 from vitac.envs.tasks.settings import require
 
 FloatArray = NDArray[np.float64]

@@ -4,7 +4,7 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
-from vitac.envs.fem.scene.scene import StepReport, StepStatus
+from vitac.envs.fem.scene.report import StepReport, StepStatus
 
 from .replay import EnvStep, Reference, Replay
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from vitac.envs.fem.model.settings import SolverSettings
-from vitac.envs.fem.scene.scene import StepStatus
+from vitac.envs.fem.scene.report import StepStatus
 
 from .figures import AGREEMENT_MM, deviation_mm, spread_mm
 from .replay import Reference, Replay

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.fem.model.settings import SolverSettings
-from vitac.envs.fem.scene.scene import StepReport
+from vitac.envs.fem.scene.report import StepReport
 from vitac.envs.scene.grasped_scene import PhysicsSettings
 from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
 

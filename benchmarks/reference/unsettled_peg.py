@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.assets import Meshes
 from vitac.envs.fem.model.settings import CutOffSolverSettings, SolverSettings
-from vitac.envs.fem.scene.scene import StepStatus
+from vitac.envs.fem.scene.report import StepStatus
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import Clocks, Stopwatch
 from vitac.envs.tasks.insertion.interface import PegOffset

@@ -20,7 +20,7 @@ from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
-from vitac.envs.fem.scene.scene import StepStatus
+from vitac.envs.fem.scene.report import StepStatus
 from vitac.envs.tactile.design import SensorDesign
 from vitac.envs.tactile.gel import GelCells, GelDimensions, structured_gel
 from vitac.evaluator.episodes.episode import Environment, make_environment, run_episode

@@ -14,7 +14,8 @@ from ..fem.contact.forces import PairForces
 from ..fem.model.mesh import GelBody, PronyBranch, RigidBody, SurfaceMesh
 from ..fem.model.settings import AnyContactSettings, ContactSettings, SolverSettings, repr_without_defaults
 from ..fem.scene.layout import placed
-from ..fem.scene.scene import Scene, SceneState, StepReport, StepStatus
+from ..fem.scene.report import StepReport, StepStatus
+from ..fem.scene.scene import Scene, SceneState
 from ..tactile.camera import CameraIntrinsics
 from ..tactile.gel import highest_mm
 from ..tactile.markers import MarkerSettings

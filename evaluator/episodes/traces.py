@@ -18,7 +18,7 @@ from ..tracks import Episode
 from .records import ContactForces, ForceFigures, SampledPicture
 
 if TYPE_CHECKING:
-    from vitac.envs.fem.scene.scene import StepReport
+    from vitac.envs.fem.scene.report import StepReport
 
 OVER_FORCE_N: Final = 40.0
 """Force on the held part above which an event counts where the task has no limit: about 1.5 times the median peak of

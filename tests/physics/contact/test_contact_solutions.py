@@ -11,7 +11,8 @@ from falling_bodies import GRAVITY_M_S2, Fall, H, on_incline, turned_about_y
 from numpy.typing import NDArray
 from small_scenes import IDENTITY, Grip, driven_positions_m
 from vitac.envs.fem.model.mesh import GelBody, RigidBody, SurfaceMesh
-from vitac.envs.fem.scene.scene import Scene, StepReport, StepStatus
+from vitac.envs.fem.scene.report import StepReport, StepStatus
+from vitac.envs.fem.scene.scene import Scene
 
 FloatArray = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from small_scenes import Grip, arena_contact
 from vitac.envs.fem.contact.forces import ContactMemory, sorted_memory
 from vitac.envs.fem.model.settings import ArenaContactSettings, PairFriction, UnknownMaterials
-from vitac.envs.fem.scene.scene import StepStatus
+from vitac.envs.fem.scene.report import StepStatus
 
 FloatArray = NDArray[np.float64]
 SLOPE_RAD = float(np.arctan(0.5))

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from small_scenes import IDENTITY, driven_positions_m
 from vectors import random_rotation
 from vitac.envs.fem.model.mesh import GelBody, GelMesh
-from vitac.envs.fem.scene.scene import Scene, StepStatus
+from vitac.envs.fem.scene.report import StepStatus
+from vitac.envs.fem.scene.scene import Scene
 
 FloatArray = NDArray[np.float64]
 MU_PA, LAMBDA_PA = 3e5 / 2.6, 3e5 * 0.3 / (1.3 * 0.4)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from vitac.envs.assets import Meshes
 from vitac.envs.fem.model.mesh import GelMesh
-from vitac.envs.fem.scene.scene import StepReport, StepStatus
+from vitac.envs.fem.scene.report import StepReport, StepStatus
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import Clocks, Stopwatch
 from vitac.envs.tactile.gel import GelCells, GelDimensions, gelsight_mini_mesh, structured_gel

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from recorded_pegs import RecordedPeg
 from vitac.envs.assets import Meshes
-from vitac.envs.fem.scene.scene import StepStatus
+from vitac.envs.fem.scene.report import StepStatus
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from recorded_pegs import OffsetMmDeg, RecordedPeg
-from vitac.envs.fem.scene.scene import StepStatus
+from vitac.envs.fem.scene.report import StepStatus
 from vitac.envs.geometry.pegs import PegShape
 
 pytest.importorskip("ipctk", reason="the IPC Toolkit, which the oracle is made of, has no wheel for this machine")

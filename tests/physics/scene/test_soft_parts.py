@@ -12,7 +12,8 @@ from scipy.optimize import brentq
 from small_scenes import IDENTITY, UPSIDE_DOWN, arena_contact, driven_positions_m
 from vitac.envs.fem.model.mesh import GelBody, MeshError, RigidBody
 from vitac.envs.fem.scene.layout import SceneError
-from vitac.envs.fem.scene.scene import Scene, StepReport, StepStatus
+from vitac.envs.fem.scene.report import StepReport, StepStatus
+from vitac.envs.fem.scene.scene import Scene
 
 FloatArray = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from engine_probe import Probe
 from numpy.typing import NDArray
 from small_scenes import Grip
 from vitac.envs.fem.linear.elimination import factorise, has_negative_determinant, substitute
-from vitac.envs.fem.scene.scene import StepStatus
+from vitac.envs.fem.scene.report import StepStatus
 
 FloatArray = NDArray[np.float64]
 STEP_M = 1e-10

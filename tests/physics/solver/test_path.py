@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from small_scenes import Grip
 from vitac.envs.fem.model.settings import SolverSettings
-from vitac.envs.fem.scene import scene
-from vitac.envs.fem.scene.scene import Scene, StepReport, StepStatus
+from vitac.envs.fem.scene import attempt
+from vitac.envs.fem.scene.report import StepReport, StepStatus
+from vitac.envs.fem.scene.scene import Scene
 
 # No turn of Newton's method leads anywhere; one iteration ends what the path has brought near.
 HOPELESS = replace(SolverSettings(), newton_iterations=1, division_levels=0)
@@ -26,11 +27,11 @@ def pushed(solver: SolverSettings) -> tuple[StepReport, Scene]:
 @pytest.fixture(autouse=True)
 def only_the_path(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing else continues from the start."""
-    monkeypatch.setattr(Scene, "_continue_from_start", lambda *_: False)
+    monkeypatch.setattr(attempt.Attempt, "_continue_from_start", lambda *_: False)
 
 
 def test_the_path_leads_to_the_state_that_newtons_method_finds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scene, "_PATH_ITERATIONS", 1000)
+    monkeypatch.setattr(attempt, "_PATH_ITERATIONS", 1000)
     plain, there = pushed(SolverSettings())
     assert plain.status is StepStatus.CONVERGED
     report, found = pushed(HOPELESS)
@@ -40,9 +41,9 @@ def test_the_path_leads_to_the_state_that_newtons_method_finds(monkeypatch: pyte
 
 
 def test_a_path_that_is_too_long_leaves_the_state_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scene, "_PATH_ITERATIONS", 0)
+    monkeypatch.setattr(attempt, "_PATH_ITERATIONS", 0)
     without, left = pushed(HOPELESS)
-    monkeypatch.setattr(scene, "_PATH_ITERATIONS", 5)
+    monkeypatch.setattr(attempt, "_PATH_ITERATIONS", 5)
     report, found = pushed(HOPELESS)
     assert report.status is without.status is StepStatus.NOT_CONVERGED
     assert report.residual_n == without.residual_n

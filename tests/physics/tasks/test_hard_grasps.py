@@ -9,7 +9,8 @@ import pytest
 import vitac.envs
 from balance_check import BalanceCheck, assert_honest
 from unsolved import played
-from vitac.envs.fem.scene.scene import Scene, StepReport, StepStatus
+from vitac.envs.fem.scene.report import StepReport, StepStatus
+from vitac.envs.fem.scene.scene import Scene
 from vitac.envs.tactile.gel import GelDimensions, structured_gel
 
 pytestmark = pytest.mark.slow

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import own_sensors
 import pytest
-from vitac.envs.fem.scene.scene import StepStatus
+from vitac.envs.fem.scene.report import StepStatus
 from vitac.envs.geometry.pegs import GRIPPED_WIDTH_MM
 from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
 from vitac.evaluator.figures.starts import refined_design

@@ -9,7 +9,8 @@ from intersection_check import GraspedSceneCheck
 from scipy.optimize import brentq
 from small_scenes import IDENTITY, driven_positions_m
 from vitac.envs.fem.model.mesh import GelBody
-from vitac.envs.fem.scene.scene import Scene, StepStatus
+from vitac.envs.fem.scene.report import StepStatus
+from vitac.envs.fem.scene.scene import Scene
 from vitac.envs.scene.gripper import SENSOR_COUNT
 from vitac.envs.tasks.settings import arena_physics
 from vitac.envs.tasks.soft_plug.env import CableEndEnv, SoftPlugEnv, move_over_then_push

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from vitac.envs.fem.contact.forces import PairForces, no_forces
 from vitac.envs.fem.model.mesh import GelBody, PointLoad, RigidBody
-from vitac.envs.fem.scene.scene import StepReport, StepStatus
+from vitac.envs.fem.scene.report import StepReport, StepStatus
 
 
 def report(status: StepStatus = StepStatus.CONVERGED, part_force_n: float = 0.0) -> StepReport:

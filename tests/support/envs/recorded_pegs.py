@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.assets import Meshes
-from vitac.envs.fem.scene.scene import StepReport
+from vitac.envs.fem.scene.report import StepReport
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import Clocks, GraspedScene, Stopwatch
 from vitac.envs.tasks.insertion.interface import PegOffset

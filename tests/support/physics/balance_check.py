@@ -11,7 +11,8 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 from vitac.envs.fem.contact.overlap import find_overlap
 from vitac.envs.fem.model.mesh import PointLoad
-from vitac.envs.fem.scene.scene import Scene, StepReport, StepStatus
+from vitac.envs.fem.scene.report import StepReport, StepStatus
+from vitac.envs.fem.scene.scene import Scene
 
 # What two orders of summation may make of the same force [N]; contacts carry a few newtons.
 SAME_FORCE_N = 1e-9

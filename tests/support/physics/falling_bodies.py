@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 from small_scenes import IDENTITY, driven_positions_m
 from vitac.envs.fem.model.mesh import GelBody, RigidBody
 from vitac.envs.fem.model.settings import AnyContactSettings
-from vitac.envs.fem.scene.scene import Scene, StepReport
+from vitac.envs.fem.scene.report import StepReport
+from vitac.envs.fem.scene.scene import Scene
 
 FloatArray = NDArray[np.float64]
 H = 0.01

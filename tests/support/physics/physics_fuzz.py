@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from balance_check import SAME_FORCE_N, BalanceCheck
 from intersection_check import GraspedSceneCheck
-from vitac.envs.fem.scene.scene import StepReport, StepStatus
+from vitac.envs.fem.scene.report import StepReport, StepStatus
 from vitac.envs.geometry.keys_and_locks import KeyShape
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import GraspedScene, PhysicsSettings

@@ -5,7 +5,8 @@ from block_meshes import box_gel, box_surface
 from numpy.typing import NDArray
 from vitac.envs.fem.model.mesh import GelBody, GelMesh, RigidBody
 from vitac.envs.fem.model.settings import AnyContactSettings, ArenaContactSettings, PairFriction, SolverSettings
-from vitac.envs.fem.scene.scene import Scene, StepReport
+from vitac.envs.fem.scene.report import StepReport
+from vitac.envs.fem.scene.scene import Scene
 
 FloatArray = NDArray[np.float64]
 IDENTITY = np.eye(3)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from own_sensors import write_sensor
 from sensors import cost
-from vitac.envs.fem.scene.scene import StepStatus
+from vitac.envs.fem.scene.report import StepStatus
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.figures.table import reference_design
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from vitac.envs.assets import Meshes
 from vitac.envs.fem.contact.forces import no_forces
 from vitac.envs.fem.model.mesh import PronyBranch, RigidBody
-from vitac.envs.fem.scene.scene import StepStatus
+from vitac.envs.fem.scene.report import StepStatus
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings, Stopwatch
 from vitac.envs.scene.gripper import UPRIGHT_MOUNTS, Gripper, GripperPose

@@ -3,7 +3,7 @@ from typing import Any
 import pytest
 from evaluation_records import make_manifest, make_record
 from fake_scene import report
-from vitac.envs.fem.scene.scene import StepStatus
+from vitac.envs.fem.scene.report import StepStatus
 from vitac.evaluator.episodes.records import ContactForces, EpisodeRecord, result_hash
 from vitac.evaluator.episodes.traces import OVER_FORCE_N, ForceTrace
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fake_scene import FakeScene
-from vitac.envs.fem.scene.scene import StepStatus
+from vitac.envs.fem.scene.report import StepStatus
 from vitac.envs.tactile.gel import GelDimensions
 from vitac.envs.tasks.in_hand_turn.env import DRAWN, InHandTurnEnv, press_until_it_stays
 from vitac.envs.tasks.in_hand_turn.scene import RodShape, edge_mesh, rod_mesh

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fake_scene import FakeScene
-from vitac.envs.fem.scene.scene import StepStatus
+from vitac.envs.fem.scene.report import StepStatus
 from vitac.envs.geometry.keys_and_locks import KeyShape, key_control_points
 from vitac.envs.tasks.lock_opening.definition import CEILING_Z_M, PERSPECTIVE, SUCCESS_Z_RANGE_M
 from vitac.envs.tasks.lock_opening.env import LockOpeningEnv, out_and_up

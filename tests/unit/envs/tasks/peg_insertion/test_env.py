@@ -7,7 +7,7 @@ import pytest
 from fake_scene import FakeScene
 from vitac.envs.assets import AssetsMissing
 from vitac.envs.fem.scene.layout import placed
-from vitac.envs.fem.scene.scene import StepStatus
+from vitac.envs.fem.scene.report import StepStatus
 from vitac.envs.tasks.definition import EndReason, Flags
 from vitac.envs.tasks.insertion.interface import PegOffset
 from vitac.envs.tasks.insertion.scene import InsertionState
