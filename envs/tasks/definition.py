@@ -118,6 +118,8 @@ class TaskDefinition:
         guided_motion: place of the `NextAction` that goes to its target; None where there is none.
         can_go_back: whether what went too far can be taken back; where not, a clone of who plays by `guided_motion`
             learns to go short of it.
+        guides_exactly: whether the guided motion is what an env step has to do, not the way that is left: then a clone
+            learns it as it is, else half as much again.
         family: what it needs to run.
         control_mode: what an action moves, by the environment's own name; None where there is one way only.
         repeats: whether the same actions give the same states to the last bit; a log is verified within tolerance
@@ -142,6 +144,7 @@ class TaskDefinition:
     perspective: str | None = None
     guided_motion: str | None = None
     can_go_back: bool = True
+    guides_exactly: bool = False
     family: Family = Family.TACTILE
     control_mode: str | None = None
     repeats: bool = True

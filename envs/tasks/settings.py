@@ -69,7 +69,7 @@ def _check_type(name: str, value: Any, default: Any) -> None:
         raise SettingsError(f"Setting '{name}' is {value!r}, expected a value of type {kind} such as {default!r}.")
 
 
-RNG_SEED = "rng_seed"
+SHAPE, RNG_SEED = "shape", "rng_seed"
 
 ChoiceT = TypeVar("ChoiceT", bound=StrEnum)
 
@@ -134,9 +134,18 @@ def chosen_shapes(env_id: str, kind: type[ChoiceT] | None, names: Sequence[str] 
     return tuple(shape for shape in known if shape in names)
 
 
-def drawn_shape(shapes: Sequence[ChoiceT], random: np.random.Generator) -> ChoiceT:
-    """Draw one of the shapes, all equally likely."""
-    return shapes[int(random.integers(len(shapes)))]
+def choose_shape(
+    env_id: str, options: Mapping[str, Any], shapes: Sequence[ChoiceT], random: np.random.Generator
+) -> ChoiceT:
+    """Return the shape that the options name, or else draw one of the shapes, all equally likely.
+
+    Raises:
+        ResetOptionsError: they name none of the set that the shapes are of.
+    """
+    given = options.get(SHAPE)
+    if given is None:
+        return shapes[int(random.integers(len(shapes)))]
+    return choice(env_id, SHAPE, given, type(shapes[0]))
 
 
 def numbers(env_id: str, option: str, value: Any, count: int, expected: str) -> list[float]:

@@ -119,6 +119,14 @@ _FIGURES = (
         {"grip_force_n": 8.4394},
     ),
     _Figures(
+        "slip",
+        "slip",
+        "slip_cloned",
+        {"bar": (23, 17), "block": (19, 21), "column": (22, 18)},
+        21.48,
+        {"grip_force_n": 7.9835},
+    ),
+    _Figures(
         "soft_plug",
         "soft-plug",
         "soft_plug_scripted",

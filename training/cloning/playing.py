@@ -5,7 +5,7 @@ quantiles where nothing can be taken back, by Adam, in NumPy.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,8 @@ from ..demonstrations.expert import Expert, ExpertPlan
 from ..learning.network import Adam, TrainingDiverged
 from .policy import LAYERS, FloatArray, Memory, choose_action, compute_layers
 
-PLAN = ExpertPlan(gain=1.5, measured=False)
+EXACTLY = ExpertPlan(gain=1.0, measured=False)
+BOLDLY = replace(EXACTLY, gain=1.5)
 """How the expert goes to the target, from where the part is measured to be."""
 SPREAD = 0.6
 """Largest standard deviation of the noise on the expert's actions; each of its episodes draws its own."""
@@ -80,6 +81,7 @@ class ClonedTask:
         self._expert = Expert(task, keys, **({} if sensor is None else {"sensor": sensor}))
         self.env = self._expert.env
         self.n_actions = len(task.actions)
+        self._plan = EXACTLY if task.definition.guides_exactly else BOLDLY
         self.loss: Loss = squared if task.definition.can_go_back else cautious
 
     def play(self, seed: int, numbers: Sequence[int], weights: Mapping[str, FloatArray] | None) -> ClonedEpisodes:
@@ -114,7 +116,7 @@ class ClonedTask:
         offset = info.get("gt_offset_mm_deg", ())
         if len(offset) > len(NEAR) and (np.abs(offset[: len(NEAR)]) < NEAR).all():
             info = {**info, "gt_offset_mm_deg": np.array([0.0, 0.0, 0.0, *offset[len(NEAR) :]])}
-        return self._expert.act(PLAN, info, random)
+        return self._expert.act(self._plan, info, random)
 
 
 class Network:

@@ -108,6 +108,7 @@ TASK = TaskDefinition(
     measures=(STAGES, SURFACE_DIFF),
     perspective="vitac.envs.tasks.assembly.definition:PERSPECTIVE",
     guided_motion="vitac.envs.tasks.assembly.env:fetch_insert_and_turn",
+    guides_exactly=True,
     # The grip is the policy's own.
     quantities=tuple(each for each in TOUCH_QUANTITIES if each.name != "indentation_mm"),
 )

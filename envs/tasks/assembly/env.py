@@ -11,7 +11,7 @@ from ...fem.model.mesh import SurfaceMesh
 from ...geometry.bayonet import SOCKET_X_MM, TURN_DEG, tray_and_socket
 from ...scene.perspective import ActionArray, FloatArray
 from ..definition import Flags, surface_moved_too_far
-from ..settings import choice, drawn_shape, numbers, refusal
+from ..settings import SHAPE, choose_shape, numbers, refusal
 from ..task_env import Info, Observation, TactileTaskEnv
 from .definition import TASK, AssemblyStage
 from .scene import (
@@ -24,7 +24,7 @@ from .scene import (
     part_mesh,
 )
 
-SHAPE, OFFSET = "shape", "offset_mm_deg"
+OFFSET = "offset_mm_deg"
 LARGEST_MM_DEG = (4.5, 1.0, 10.0)
 # Lowest and highest commanded motion since the start: x, y, z [mm], theta [deg].
 RANGE_MM_DEG = ((-12.0, 38.0), (-8.0, 8.0), (-8.0, 16.0), (-40.0, 90.0))
@@ -144,8 +144,7 @@ def choose_start(
     Raises:
         ResetOptionsError: an option is not a known shape or not a usable offset.
     """
-    given, wanted = options.get(SHAPE), options.get(OFFSET)
-    shape = drawn_shape(shapes, random) if given is None else choice(env_id, SHAPE, given, HeadShape)
+    shape, wanted = choose_shape(env_id, options, shapes, random), options.get(OFFSET)
     if wanted is None:
         x, y, theta = random.uniform(-1.0, 1.0, 3).tolist()
         return AssemblyStart(
@@ -170,20 +169,21 @@ _NEAR_MM, _GRIP_N, _STIFFNESS_N_MM = 30.8, 20.0, 45.0
 
 
 def fetch_insert_and_turn(_: Observation, info: Info) -> ActionArray:
-    """Close on the middle of the part, carry it straight over the socket, put it in and turn it against the stops."""
+    """Close on the part, carry it straight over the socket, put it in and turn it against the stops.
+
+    It is gripped where it is: who imitates this feels then how it is held.
+    """
     x_mm, y_mm, z_mm, theta_deg = info["offset_mm_deg"].tolist()
     gone = info["relative_motion_mm_deg"].tolist()
     arm_mm = (gone[0] - x_mm - SOCKET_X_MM, gone[1] - y_mm)
     if info["stage"] == AssemblyStage.NOTHING and info["grip_force_n"] < 0.6 * _GRIP_N:
-        aside = [-arm_mm[0], -arm_mm[1], 0.0, theta_deg - gone[3]]
         to_near_mm = info["gripper_width_mm"] - _NEAR_MM
         closing_mm = to_near_mm if to_near_mm > 1e-3 else (_GRIP_N - info["grip_force_n"]) / _STIFFNESS_N_MM
-        # Where the open gripper is askew it must not touch the part.
-        return _scaled([*aside, -closing_mm if max(map(abs, aside)) < 0.5 else 0.0])
+        return _scaled([0.0, 0.0, 0.0, 0.0, -closing_mm])
     way = [-x_mm, -y_mm, _CARRIED_MM - z_mm, -theta_deg]
-    if max(abs(x_mm), abs(y_mm)) < 0.2 and z_mm < INSERTED_BELOW_MM - 0.3:
+    if max(abs(x_mm), abs(y_mm)) < 0.5 and z_mm < INSERTED_BELOW_MM - 0.3:
         way[2:] = [_INSERTED_MM - z_mm, TURN_DEG - theta_deg]
-    elif max(abs(x_mm), abs(y_mm)) < 0.2 and abs(theta_deg) < 1.0:
+    elif max(abs(x_mm), abs(y_mm)) < 0.5 and abs(theta_deg) < 3.0:
         way[2] = _INSERTED_MM - z_mm
     elif z_mm < FETCHED_ABOVE_MM:
         way[:2] = [0.0, 0.0]

@@ -7,12 +7,12 @@ import numpy as np
 from ...fem.model.mesh import SurfaceMesh
 from ...scene.perspective import ActionArray
 from ..definition import Flags, surface_moved_too_far
-from ..settings import choice, drawn_shape, numbers, refusal
+from ..settings import SHAPE, choice, choose_shape, numbers, refusal
 from ..task_env import Info, Observation, TactileTaskEnv
 from .definition import REACH_MM, TASK, EndShape
 from .scene import EndPose, ExploreScene, ExploreSettings, block_mesh, pin_mesh
 
-SHAPE, END_POSE = "shape", "end_pose_mm_deg"
+END_POSE = "end_pose_mm_deg"
 LARGEST_MM_DEG = (3.0, 3.0, 30.0)
 AROUND_MM = ((6.5, 0.0), (6.5, 6.5), (0.0, 6.5), (-6.5, 0.0), (0.0, -6.5))
 """Where the touches of `touch_around` are after the first, from the pin."""
@@ -53,7 +53,7 @@ class ExploreEnv(TactileTaskEnv[ExploreScene, ExploreSettings]):
 
     def _start(self, options: dict[str, Any], random: np.random.Generator) -> ExploreScene:
         settings = self._settings_of_episode(random)
-        drawn_one, given = drawn_shape(self._shapes, random), options.get(SHAPE)
+        drawn_one, given = choose_shape(self.env_id, {}, self._shapes, random), options.get(SHAPE)
         shape = drawn_one if given is None else choice(self.env_id, SHAPE, given, EndShape)
         x, y, angle = random.uniform(-1.0, 1.0, 3).tolist()
         xy_mm = settings.random_xy_mm

@@ -20,7 +20,7 @@ from ..insertion.env import InsertionEnv, way_to_the_hole
 from ..insertion.interface import is_beyond
 from ..insertion.scene import InsertionState, compute_flags, training_ranges
 from ..quantities import drawn_settings
-from ..settings import choice, numbers, refusal
+from ..settings import SHAPE, choice, numbers, refusal
 from ..task_env import Info, Observation
 from .definition import TASK
 from .scene import (
@@ -38,7 +38,6 @@ from .scene import (
 
 ENV_ID = TASK.env_id
 START = "start"
-SHAPE = "shape"
 
 
 # The task's own limits of the commanded offset; z is measured from the rim's height.

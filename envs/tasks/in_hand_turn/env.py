@@ -9,12 +9,12 @@ from ...deterministic_math import sine_cosine
 from ...fem.model.mesh import SurfaceMesh
 from ...scene.perspective import ActionArray
 from ..definition import Flags
-from ..settings import choice, drawn_shape, numbers, refusal
+from ..settings import SHAPE, choose_shape, numbers, refusal
 from ..task_env import Info, Observation, TactileTaskEnv
 from .definition import TASK
 from .scene import InHandTurnScene, InHandTurnSettings, RodShape, TurnStart, edge_mesh, rod_mesh
 
-SHAPE, START = "shape", "start_mm_deg"
+START = "start_mm_deg"
 # Gap [mm], angle and goal [deg]: what may be asked for, and what is drawn.
 USABLE = ((0.2, 30.0), (-15.0, 15.0), (-45.0, 45.0))
 DRAWN = ((0.5, 16.5), (-8.0, 6.0), (14.0, 32.0))
@@ -100,8 +100,7 @@ def choose_start(
     Raises:
         ResetOptionsError: an option is not a known rod or not a usable start.
     """
-    given = options.get(SHAPE)
-    shape = drawn_shape(shapes, random) if given is None else choice(env_id, SHAPE, given, RodShape)
+    shape = choose_shape(env_id, options, shapes, random)
     drawn = [low + (high - low) * random.random() for low, high in DRAWN]
     ranges = [f"{low:g} to {high:g}" for low, high in USABLE]
     expected = f"expected (gap mm, angle deg, goal deg) of {', '.join(ranges)}"

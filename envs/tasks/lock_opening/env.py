@@ -10,7 +10,7 @@ from ...fem.model.mesh import SurfaceMesh
 from ...geometry.keys_and_locks import KeyShape
 from ...scene.perspective import ActionArray, longest_action
 from ..definition import Flags
-from ..settings import choice, drawn_shape, numbers, refusal
+from ..settings import SHAPE, choose_shape, numbers, refusal
 from ..task_env import Info, Observation, TactileTaskEnv
 from .definition import SUCCESS_Z_RANGE_M, TASK, alignment_error, judge_flags, reward
 from .scene import (
@@ -25,7 +25,7 @@ from .scene import (
 )
 
 ENV_ID = TASK.env_id
-SHAPE, OFFSET, JITTER = "shape", "offset_mm", "sensor_jitter_mm"
+OFFSET, JITTER = "offset_mm", "sensor_jitter_mm"
 
 
 # A start at which the key's tip is clear of the end wall and its shaft and teeth of floor, ceiling and walls.
@@ -77,8 +77,7 @@ def choose_start(
     Raises:
         ResetOptionsError: an option is not a known key or not a usable offset or jitter.
     """
-    given = options.get(SHAPE)
-    shape = drawn_shape(shapes, random) if given is None else choice(env_id, SHAPE, given, KeyShape)
+    shape = choose_shape(env_id, options, shapes, random)
     wanted = options.get(OFFSET)
     offset = (
         KeyOffset(x_mm=x_mm * random.random(), y_mm=0.0, z_mm=0.0) if wanted is None else read_offset(env_id, wanted)

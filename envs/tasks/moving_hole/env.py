@@ -8,9 +8,9 @@ import numpy as np
 from ...scene.perspective import ActionArray, longest_action
 from ..definition import Flags
 from ..insertion.env import way_to_the_hole
-from ..peg_insertion.env import OFFSET, SHAPE, PegInsertionEnv, choose_start, is_blocked
+from ..peg_insertion.env import OFFSET, PegInsertionEnv, choose_start, is_blocked
 from ..peg_insertion.scene import PegScene
-from ..settings import choice, numbers
+from ..settings import SHAPE, choice, numbers
 from ..task_env import Info, Observation
 from .definition import TASK
 from .scene import EARLIEST_START_S, MovingHoleScene, MovingHoleSettings, MovingHoleStart, PlateMotion, PlatePath

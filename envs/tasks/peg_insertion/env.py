@@ -24,13 +24,13 @@ from ..definition import Flags
 from ..insertion.env import InsertionEnv, way_to_the_hole
 from ..insertion.interface import PegOffset, is_beyond
 from ..insertion.scene import InsertionState, compute_flags, training_ranges
-from ..settings import choice, drawn_shape, numbers, refusal
+from ..settings import SHAPE, choose_shape, numbers, refusal
 from ..task_env import Info, Observation
 from .definition import SUCCESS_DEPTH_MM, TASK
 from .scene import PegInsertionSettings, PegScene, PegStart, hole_mesh, peg_mesh
 
 ENV_ID = TASK.env_id
-SHAPE, OFFSET = "shape", "offset_mm_deg"
+OFFSET = "offset_mm_deg"
 
 
 # The task's own limits of the commanded offset.
@@ -75,8 +75,7 @@ def choose_start(
     Raises:
         ResetOptionsError: an option is not a known shape or not a usable offset.
     """
-    given = options.get(SHAPE)
-    shape = drawn_shape(shapes, random) if given is None else choice(env_id, SHAPE, given, type(shapes[0]))
+    shape = choose_shape(env_id, options, shapes, random)
     wanted = options.get(OFFSET)
     offset = (
         random_blocked_offset(shape, random, blocked=blocked, xy_mm=xy_mm, theta_deg=theta_deg)

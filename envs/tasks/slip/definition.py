@@ -104,7 +104,8 @@ TASK = TaskDefinition(
     measures=(GRIP_FORCE, SURFACE_DIFF),
     start_labels=("x {} mm", "z {} mm"),
     perspective="vitac.envs.tasks.slip.definition:PERSPECTIVE",
-    guided_motion="vitac.envs.tasks.slip.env:with_the_force_it_needs",
+    guided_motion="vitac.envs.tasks.slip.env:lift_ever_harder",
+    guides_exactly=True,
     # The grip is the policy's own.
     quantities=(*(each for each in TOUCH_QUANTITIES if each.name != "indentation_mm"), *PART_QUANTITIES),
     info_lengths={"heights_mm": 6},

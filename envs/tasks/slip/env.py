@@ -8,12 +8,12 @@ import numpy as np
 from ...fem.model.mesh import SurfaceMesh
 from ...scene.perspective import ActionArray
 from ..definition import Flags, surface_moved_too_far
-from ..settings import choice, drawn_shape, numbers, refusal
+from ..settings import SHAPE, choose_shape, numbers, refusal
 from ..task_env import Info, Observation, TactileTaskEnv
 from .definition import STANDING_MM, TASK
 from .scene import SlipScene, SlipSettings, SlipShape, SlipStart, part_mesh, table_mesh
 
-SHAPE, OFFSET = "shape", "offset_mm"
+OFFSET = "offset_mm"
 LARGEST_X_MM, LARGEST_Z_MM = 5.0, 10.0
 CLEAR_MM = 0.5
 """Least height above the table at which the part has to hang while the load grows."""
@@ -128,8 +128,7 @@ def choose_start(
     Raises:
         ResetOptionsError: an option is not a known shape or not a usable offset.
     """
-    given, wanted = options.get(SHAPE), options.get(OFFSET)
-    shape = drawn_shape(shapes, random) if given is None else choice(env_id, SHAPE, given, SlipShape)
+    shape, wanted = choose_shape(env_id, options, shapes, random), options.get(OFFSET)
     if wanted is None:
         x, z = random.uniform(-1.0, 1.0, 2).tolist()
         return SlipStart(shape=shape, x_mm=x * settings.random_x_mm, z_mm=z * settings.random_z_mm)
@@ -141,20 +140,26 @@ def choose_start(
 
 
 # Of the force that friction needs, and of the way between two forces in an env step.
-_MARGIN, _STIFFNESS_N_MM = 1.2, 30.0
+_MARGIN, _STIFFNESS_N_MM = 1.25, 30.0
+# Grip of an env step over that of the one before until the part hangs, the lift meanwhile, and from where on it hangs.
+_HARDER, _LIFT_MM, _HANGING_MM = 1.5, 0.6, 0.3
 
 
-def with_the_force_it_needs(_: Observation, info: Info) -> ActionArray:
-    """Grip a fifth harder than friction needs, lift, hold, and set down and let go as soon as the load has grown."""
-    lowest_mm = info["heights_mm"].min()
+def lift_ever_harder(_: Observation, info: Info) -> ActionArray:
+    """Lift ever harder until the part hangs, grip a quarter harder than friction needs, and set down and let go.
+
+    Who imitates this feels what the weight and the friction are.
+    """
+    lowest_mm, grip_n = info["heights_mm"].min(), info["grip_force_n"]
     wanted_n = _MARGIN * info["needed_grip_n"]
-    wider_mm = (info["grip_force_n"] - wanted_n) / _STIFFNESS_N_MM
-    up_mm = 0.0
+    up_mm, wider_mm = 0.0, min(0.0, (grip_n - wanted_n) / _STIFFNESS_N_MM)
     if info["is_loaded"]:
-        up_mm, wider_mm = -min(1.0, lowest_mm), min(0.0, wider_mm)
+        up_mm = -min(1.0, lowest_mm)
         if lowest_mm < 0.5 * STANDING_MM:  # A part that leans rights itself once it is let go.
             up_mm, wider_mm = 0.0, 0.2
-    elif info["grip_force_n"] > 0.9 * wanted_n:
+    elif lowest_mm < _HANGING_MM and info["load_n"] == 0.0:
+        up_mm, wider_mm = _LIFT_MM, (grip_n - _HARDER ** info["steps"]) / _STIFFNESS_N_MM
+    elif grip_n > 0.9 * wanted_n:
         up_mm = min(1.0, max(0.0, LIFTED_MM - lowest_mm))
     action = np.array([up_mm, wider_mm]) / np.array(TASK.action_scale)
     return np.asarray(np.clip(action, -1.0, 1.0), dtype=np.float32)

@@ -8,12 +8,12 @@ import numpy as np
 from ...fem.model.mesh import SurfaceMesh
 from ...scene.perspective import ActionArray
 from ..definition import Flags, surface_moved_too_far
-from ..settings import choice, drawn_shape, numbers, refusal
+from ..settings import SHAPE, choose_shape, numbers, refusal
 from ..task_env import Info, Observation, TactileTaskEnv
 from .definition import CABLE_TASK, PLUG_TASK, SUCCESS_DEPTH_MM
 from .scene import CableEndSettings, CableShape, PlugShape, SoftPlugScene, SoftPlugSettings, SoftPlugStart, plate_mesh
 
-SHAPE, OFFSET = "shape", "offset_mm"
+OFFSET = "offset_mm"
 LARGEST_XY_MM = 8.0
 LEAST_MM = 1.2
 """Least |x| or |y| of a random start: the plug then does not just slide in."""
@@ -125,8 +125,7 @@ def choose_start(
     Raises:
         ResetOptionsError: an option is not a known plug or not a usable offset.
     """
-    given = options.get(SHAPE)
-    shape = drawn_shape(shapes, random) if given is None else choice(env_id, SHAPE, given, type(shapes[0]))
+    shape = choose_shape(env_id, options, shapes, random)
     drawn = [0.0, 0.0]
     while not accepts_start(shape, drawn):
         drawn = (xy_mm * random.uniform(-1.0, 1.0, 2)).tolist()
@@ -142,14 +141,22 @@ def accepts_start(_: str, offset_mm: Sequence[float]) -> bool:
     return max(map(abs, offset_mm)) >= LEAST_MM
 
 
-# Above the rim, from which on the plug is lowered only over the hole [mm].
-_NEAR_MM = 0.3
+# Beside the hole, where its mouth still catches the plug; where the gripper goes to touch the plate, and above the rim.
+_OVER_MM, _TOUCHING_MM, _ABOVE_MM = 0.5, -1.4, 0.3
+# Env steps of a touch, and of it with the way that follows.
+_TOUCH_STEPS, _CYCLE_STEPS = 2, 5
 
 
-def move_over_then_push(_: Observation, info: Info) -> ActionArray:
-    """Go over the hole above the plate, then push."""
+def touch_then_push(_: Observation, info: Info) -> ActionArray:
+    """Touch the plate, go over the hole above it, and push; where that is beside the hole, it is the next touch.
+
+    Who imitates this feels where the hole is, as often as it takes.
+    """
     aside_mm = -info["gt_offset_mm"]
-    far = float(np.abs(aside_mm).max()) > 0.2
-    up_mm = _NEAR_MM - info["heights_mm"].min() if far else -1.0
-    action = np.append(aside_mm, max(0.0, up_mm) if far else up_mm) / np.array(PLUG_TASK.action_scale)
-    return np.asarray(np.clip(action, -1.0, 1.0), dtype=np.float32)
+    if float(np.abs(aside_mm).max()) <= _OVER_MM:
+        motion_mm = np.append(aside_mm, -1.0)
+    elif info["steps"] % _CYCLE_STEPS < _TOUCH_STEPS:
+        motion_mm = np.array([0.0, 0.0, _TOUCHING_MM - info["relative_motion_mm"][2]])
+    else:
+        motion_mm = np.append(aside_mm, max(0.0, _ABOVE_MM - info["heights_mm"].min()))
+    return np.asarray(np.clip(motion_mm / np.array(PLUG_TASK.action_scale), -1.0, 1.0), dtype=np.float32)

@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 import numpy as np
 from vitac.envs.fem.model.mesh import SurfaceMesh
 from vitac.envs.tasks.definition import Flags, surface_moved_too_far
-from vitac.envs.tasks.settings import choice, drawn_shape, numbers, refusal
+from vitac.envs.tasks.settings import choose_shape, numbers, refusal
 from vitac.envs.tasks.task_env import Info, TactileTaskEnv
 
 from .definition import CLOSES_AT_N, TASK
@@ -27,8 +27,7 @@ class SwitchEnv(TactileTaskEnv[SwitchScene, SwitchSettings]):
         return [finger_mesh(), housing_mesh(), *(button_mesh(shape, HIGHEST_MM) for shape in Button)]
 
     def _start(self, options: dict[str, Any], random: np.random.Generator) -> SwitchScene:
-        given = options.get("shape")
-        shape = drawn_shape(self._shapes, random) if given is None else choice(self.env_id, "shape", given, Button)
+        shape = choose_shape(self.env_id, options, self._shapes, random)
         wanted = options.get("height_mm", (random.uniform(LOWEST_MM, HIGHEST_MM),))
         (height_mm,) = numbers(self.env_id, "height_mm", wanted, 1, "expected (height) in mm")
         if not LOWEST_MM <= height_mm <= HIGHEST_MM:

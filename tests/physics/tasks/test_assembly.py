@@ -12,7 +12,7 @@ from vitac.envs.tasks.assembly.env import AssemblyEnv, fetch_insert_and_turn
 from vitac.envs.tasks.assembly.scene import assembly_physics
 
 FloatArray = NDArray[np.float64]
-START = {"shape": "narrow", "offset_mm_deg": (3.0, -0.5, 6.0), "rng_seed": (0, 1)}
+START = {"shape": "narrow", "offset_mm_deg": (0.0, -0.5, 0.0), "rng_seed": (0, 1)}
 GEL_FRICTION, PART_FRICTION, WEIGHT_N = 1.0, 0.3, 0.08 * 9.81
 HELD, FIXED = SENSOR_COUNT, SENSOR_COUNT + 1
 

@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from vitac.envs.tasks.slip.env import with_the_force_it_needs
+from vitac.envs.tasks.slip.env import lift_ever_harder
 
 FloatArray = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ def hanging() -> list[tuple[dict[str, FloatArray], dict[str, Any]]]:
     observation, info = env.reset(options={"shape": "block", "offset_mm": (1.5, 0.0), "rng_seed": (0, 1)})
     steps = []
     for number in range(1, 19):
-        observation, *_, info = env.step(with_the_force_it_needs(observation, info))
+        observation, *_, info = env.step(lift_ever_harder(observation, info))
         assert info["end_reason"] is None
         if number >= 7:
             steps.append((observation, info))

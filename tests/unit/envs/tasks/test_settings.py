@@ -18,8 +18,8 @@ from vitac.envs.tasks.settings import (
     ResetOptionsError,
     SettingsError,
     choice,
+    choose_shape,
     chosen_shapes,
-    drawn_shape,
     nearest,
     numbers,
     read_task_settings,
@@ -121,7 +121,7 @@ def test_task_without_shapes_draws_none() -> None:
 
 def test_shapes_are_drawn_equally_often_by_one_number_each() -> None:
     random, other = np.random.default_rng(1), np.random.default_rng(1)
-    drawn = [drawn_shape(tuple(Side), random) for _ in range(400)]
+    drawn = [choose_shape("Toy-v1", {}, tuple(Side), random) for _ in range(400)]
     assert drawn == [list(Side)[number] for number in other.integers(2, size=400)]
     assert 150 < drawn.count(Side.LEFT) < 250
 

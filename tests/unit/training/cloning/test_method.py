@@ -154,3 +154,13 @@ def test_caution_is_learned_where_nothing_can_be_taken_back(
 ) -> None:
     monkeypatch.setattr(expert, "make_environment", lambda *_, **__: None)
     assert playing.ClonedTask(find_task(task)[1], ()).loss is loss
+
+
+@pytest.mark.parametrize(("task", "gone"), [("peg-insertion", 0.6), ("assembly", 0.4)])
+def test_an_expert_that_says_what_to_do_is_copied_as_it_is_and_one_that_says_the_way_goes_further(
+    task: str, gone: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(expert, "make_environment", lambda *_, **__: None)
+    cloned = playing.ClonedTask(find_task(task)[1], ())
+    monkeypatch.setattr(cloned._expert, "_way", lambda *_: np.array([0.4]))
+    assert cloned.expert_action({}, np.random.default_rng(0)) == pytest.approx([gone])

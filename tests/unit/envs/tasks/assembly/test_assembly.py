@@ -130,7 +130,7 @@ def test_truth_is_told_to_nobody_but_the_expert() -> None:
     observation, info = env.reset(options={**START, "offset_mm_deg": (2.0, 0.5, 3.0)})
     assert set(observation) == {"marker_flow", "relative_motion", "gripper_width"}
     action = fetch_insert_and_turn(observation, info | {"grip_force_n": 0.0})
-    assert action == pytest.approx([2.0 / 6.0, 0.5 / 3.0, 0.0, 0.5, 0.0], abs=1e-6), "over the part, still open"
+    assert action == pytest.approx([0.0, 0.0, 0.0, 0.0, -1.0], abs=1e-6), "it closes where it is"
     held = info | {"stage": 1, "offset_mm_deg": np.array([-6.0, 0.0, 1.2, 0.0]), "grip_force_n": 15.0}
     held["relative_motion_mm_deg"] = np.array([20.0, 0.0, 3.0, 0.0])
     assert fetch_insert_and_turn(observation, held) == pytest.approx([1.0, 0.0, 0.0, 0.0, 0.0], abs=1e-6)

@@ -11,7 +11,7 @@ from unpacked_files import unpack
 from vitac.envs.drawing.playback import record
 from vitac.envs.playback_files.scene import pack_scene
 from vitac.envs.tasks.settings import ResetOptionsError, SettingsError
-from vitac.envs.tasks.slip.env import SlipEnv, with_the_force_it_needs
+from vitac.envs.tasks.slip.env import SlipEnv, lift_ever_harder
 from vitac.envs.tasks.slip.scene import GrowingLoad, SlipScene
 
 START = {"shape": "bar", "offset_mm": (1.0, -2.0), "rng_seed": (0, 1)}
@@ -100,10 +100,11 @@ def test_truth_is_told_to_nobody_but_the_expert() -> None:
     env = SlipEnv()
     observation, info = env.reset(options=START)
     assert set(observation) == {"marker_flow", "relative_motion", "gripper_width"}
-    up, wider = with_the_force_it_needs(observation, info | {"grip_force_n": 0.0, "needed_grip_n": 3.0})
-    assert (up, wider) == (0.0, pytest.approx(-0.6))
-    up, _ = with_the_force_it_needs(observation, info | {"grip_force_n": 4.0, "needed_grip_n": 3.0})
-    assert up == 1.0
+    standing = info | {"grip_force_n": 0.75, "needed_grip_n": 3.0, "steps": 2}
+    assert lift_ever_harder(observation, standing) == pytest.approx([0.6, -(1.5**2 - 0.75) / 30.0 / 0.2])
+    hanging = standing | {"heights_mm": np.array([0.5, 0.5, 0.6, 0.6])}
+    assert lift_ever_harder(observation, hanging) == pytest.approx([0.0, -(3.75 - 0.75) / 30.0 / 0.2])
+    assert lift_ever_harder(observation, hanging | {"grip_force_n": 4.0}) == pytest.approx([1.0, 0.0])
 
 
 def test_what_the_options_leave_open_follows_from_the_seed() -> None:

@@ -11,9 +11,10 @@ from vitac.envs.drawing.playback import record
 from vitac.envs.playback_files.scene import pack_scene
 from vitac.envs.tactile.gel import arena_gel_mesh
 from vitac.envs.tasks.settings import ResetOptionsError, SettingsError
-from vitac.envs.tasks.soft_plug.env import CableEndEnv, SoftPlugEnv, move_over_then_push
+from vitac.envs.tasks.soft_plug.env import CableEndEnv, SoftPlugEnv, touch_then_push
 from vitac.envs.tasks.soft_plug.scene import (
     FORMS,
+    START_GAP_MM,
     CableShape,
     PlugShape,
     SoftPlugScene,
@@ -144,15 +145,17 @@ def test_starts_that_are_drawn_are_beside_the_hole_and_of_both_plugs() -> None:
     assert min(shapes[shape] for shape in PlugShape) > 5
 
 
-def test_expert_goes_over_the_hole_before_it_pushes() -> None:
+def test_expert_presses_beside_the_hole_then_goes_over_it_before_it_pushes() -> None:
     env, observation, info = played()
-    heights_mm = []
+    places_mm = []
     while info["end_reason"] is None:
+        observation, *_, info = env.step(touch_then_push(observation, info))
         if np.abs(info["gt_offset_mm"]).max() > 0.2:
-            heights_mm.append(info["heights_mm"].min())
-        observation, *_, info = env.step(move_over_then_push(observation, info))
+            places_mm.append(info["relative_motion_mm"])
     assert info["end_reason"] == "success"
-    assert min(heights_mm) > 0.0
+    pressed, *over = places_mm[1:]
+    np.testing.assert_allclose(pressed, [0.0, 0.0, -1.4], atol=1e-9)
+    assert min(place[2] for place in over) > -START_GAP_MM
 
 
 @pytest.mark.parametrize("option", [{"shape": "cork"}, {"offset_mm": (9.0, 0.0)}, {"offset_mm": (1.0,)}])
