@@ -134,7 +134,16 @@ _FIGURES = (
         15.28,
         {"largest_bend_mm": 1.0652},
     ),
+    _Figures(
+        "soft_plug",
+        "soft-plug",
+        "soft_plug_cloned",
+        {"slim": (13, 47), "stopper": (13, 47)},
+        13.61,
+        {"largest_bend_mm": 1.0784},
+    ),
     _Figures("cable_end", "cable-end", "cable_end_scripted", {"cable": (36, 84)}, 14.64, {"largest_bend_mm": 1.1792}),
+    _Figures("cable_end", "cable-end", "cable_end_cloned", {"cable": (82, 38)}, 11.50, {"largest_bend_mm": 1.8025}),
     _Figures(
         "assembly",
         "assembly",
