@@ -141,8 +141,9 @@ def choose_start(
 
 # Of the force that friction needs, and of the way between two forces in an env step.
 _MARGIN, _STIFFNESS_N_MM = 1.25, 30.0
-# Grip of an env step over that of the one before until the part hangs, the lift meanwhile, and from where on it hangs.
-_HARDER, _LIFT_MM, _HANGING_MM = 1.5, 0.6, 0.3
+# Grips of the env steps until the part hangs, each half as much again, the lift meanwhile, and from where on it hangs.
+_GRIPS_N = (1.0, 1.5, 2.25, 3.375, 5.0625, 7.59375, 11.390625, 17.0859375)
+_LIFT_MM, _HANGING_MM = 0.6, 0.3
 
 
 def lift_ever_harder(_: Observation, info: Info) -> ActionArray:
@@ -158,7 +159,8 @@ def lift_ever_harder(_: Observation, info: Info) -> ActionArray:
         if lowest_mm < 0.5 * STANDING_MM:  # A part that leans rights itself once it is let go.
             up_mm, wider_mm = 0.0, 0.2
     elif lowest_mm < _HANGING_MM and info["load_n"] == 0.0:
-        up_mm, wider_mm = _LIFT_MM, (grip_n - _HARDER ** info["steps"]) / _STIFFNESS_N_MM
+        wanted_n = _GRIPS_N[min(info["steps"], len(_GRIPS_N) - 1)]
+        up_mm, wider_mm = _LIFT_MM, (grip_n - wanted_n) / _STIFFNESS_N_MM
     elif grip_n > 0.9 * wanted_n:
         up_mm = min(1.0, max(0.0, LIFTED_MM - lowest_mm))
     action = np.array([up_mm, wider_mm]) / np.array(TASK.action_scale)
