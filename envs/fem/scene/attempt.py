@@ -39,7 +39,7 @@ class Effort:
 
 
 @dataclass(kw_only=True, eq=False)
-class Attempt:
+class StepAttempt:
     """What an IPC step starts from and goes to, node positions [m] of shape [n, 3], and how it ended.
 
     Attributes:

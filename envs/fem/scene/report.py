@@ -13,7 +13,7 @@ class StepStatus(StrEnum):
     ESCAPED_SADDLE = "escaped_saddle"  # solved after an unstable equilibrium was left along negative curvature
     RELAXED = "relaxed"  # solved after the forces were relaxed along their flow
     SHORTENED = "shortened"  # played as several shorter IPC steps, each solved
-    CONTINUED = "continued"  # solved by following balances from the start, while held forces were let go
+    CONTINUED = "continued"  # solved by following balances from the start, while held forces were released
     GAVE_WAY = "gave_way"  # solved with part of the friction, as with all of it there was no solution
     CUT_OFF = "cut_off"  # ended after the iterations of `CutOffSolverSettings`, not solved
     NOT_CONVERGED = "not_converged"  # not solved; the state is free of intersections but is not a minimum

@@ -25,7 +25,7 @@ from ..model.settings import (
 from ..solver.assembly import Workspace, new_workspace
 from ..solver.iterate import find_contacts, remember_step
 from ..solver.newton import Counter, StepMeasure
-from .attempt import Attempt, Effort
+from .attempt import Effort, StepAttempt
 from .builder import build_model
 from .coupling import NO_COUPLINGS, PLANNED_WITHIN_M, boxes_come_near, includes, near_nodes
 from .layout import NodeLayout, SceneError, check_bodies, check_settings
@@ -147,12 +147,12 @@ class Scene:
         """
         target, load_n = self._target(driven_targets_m, displacements_m or {}), self._load_n(loads or {})
         before, effort = self.state(), Effort()
-        attempt = self._advance(target, load_n, effort, Attempt.solve)
+        attempt = self._advance(target, load_n, effort, StepAttempt.solve)
         if attempt.status is StepStatus.NOT_CONVERGED and self._model.parameters.remembers_slip:
             attempt = self._advance_in_shorter_steps(before, target, load_n, effort)
         if attempt.status is StepStatus.NOT_CONVERGED:
             self.restore(before)
-            attempt = self._advance(target, load_n, effort, Attempt.follow_balances)
+            attempt = self._advance(target, load_n, effort, StepAttempt.follow_balances)
         if attempt.status is StepStatus.NOT_CONVERGED and self._model.parameters.remembers_slip:
             attempt = self._give_way(before, target, load_n, effort)
         force, torque = self._net_load(self._workspace.system.gradient)
@@ -311,9 +311,9 @@ class Scene:
         target: FloatArray,
         load_n: FloatArray,
         effort: Effort,
-        solve: Callable[[Attempt], tuple[StepStatus, int]],
+        solve: Callable[[StepAttempt], tuple[StepStatus, int]],
         friction: float = 1.0,
-    ) -> Attempt:
+    ) -> StepAttempt:
         """Move the prescribed nodes to their targets in an IPC step that is solved as given; return how that ended.
 
         `friction` is the part of it that is left.
@@ -321,7 +321,7 @@ class Scene:
         self._couple_touching_gels()
         start, time_step_s = self._x.copy(), self._time_step_s
         self._take_friction(friction)
-        attempt = Attempt(
+        attempt = StepAttempt(
             model=self._model,
             solver=self._solver,
             workspace=self._workspace,
@@ -350,7 +350,7 @@ class Scene:
 
     def _advance_in_shorter_steps(
         self, before: SceneState, target: FloatArray, load_n: FloatArray, effort: Effort
-    ) -> Attempt:
+    ) -> StepAttempt:
         """Play an IPC step as several shorter ones, which remember what slips in each, until all are solved.
 
         A balance with strong friction may not exist where a long step is said to lead, and exist along the way.
@@ -360,7 +360,7 @@ class Scene:
             self.restore(before)
             self._set_time_step(whole_s / count)
             for part in range(1, count + 1):
-                attempt = self._advance(start + (part / count) * (target - start), load_n, effort, Attempt.solve)
+                attempt = self._advance(start + (part / count) * (target - start), load_n, effort, StepAttempt.solve)
                 if attempt.status is StepStatus.NOT_CONVERGED:
                     break
             else:
@@ -369,11 +369,11 @@ class Scene:
         self._set_time_step(whole_s)
         return attempt
 
-    def _give_way(self, before: SceneState, target: FloatArray, load_n: FloatArray, effort: Effort) -> Attempt:
+    def _give_way(self, before: SceneState, target: FloatArray, load_n: FloatArray, effort: Effort) -> StepAttempt:
         """Play an IPC step with less and less friction until it is solved; without any there is a least energy."""
         for part in _FRICTION_LEFT:
             self.restore(before)
-            attempt = self._advance(target, load_n, effort, Attempt.solve, friction=part)
+            attempt = self._advance(target, load_n, effort, StepAttempt.solve, friction=part)
             if attempt.status is not StepStatus.NOT_CONVERGED:
                 attempt.status = StepStatus.GAVE_WAY
                 break

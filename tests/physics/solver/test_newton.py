@@ -13,7 +13,7 @@ from small_scenes import IDENTITY, Grip, arena_contact, driven_positions_m
 from vitac.envs.fem.model.mesh import GelBody, RigidBody
 from vitac.envs.fem.model.settings import CutOffSolverSettings, SolverSettings
 from vitac.envs.fem.scene import scene
-from vitac.envs.fem.scene.attempt import Attempt
+from vitac.envs.fem.scene.attempt import StepAttempt
 from vitac.envs.fem.scene.report import StepReport, StepStatus
 from vitac.envs.fem.scene.scene import Scene
 from vitac.envs.fem.solver.iterate import IpcStep
@@ -61,7 +61,7 @@ def test_a_motion_that_goes_on_is_guessed_from_the_one_before_and_ends_in_the_sa
     iterations: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without a velocity, which is too small to matter for inertia, nothing is guessed; neither after one iteration."""
-    aside, ends, solve_motion = np.array([3e-4, 2e-4, 0.0]), [], Attempt._solve_motion
+    aside, ends, solve_motion = np.array([3e-4, 2e-4, 0.0]), [], StepAttempt._solve_motion
     for is_known in (True, False):
         grip = Grip(contact=arena_contact(0.5))
         grip.squeeze(2e-4)
@@ -71,11 +71,11 @@ def test_a_motion_that_goes_on_is_guessed_from_the_one_before_and_ends_in_the_sa
         scene._velocity[:] *= is_known
         guessed: list[bool] = []
 
-        def watched(attempt: Attempt, step: IpcStep, *, seen: list[bool] = guessed, **kept: Any) -> int:
+        def watched(attempt: StepAttempt, step: IpcStep, *, seen: list[bool] = guessed, **kept: Any) -> int:
             seen.append(step.guesses)
             return solve_motion(attempt, step, **kept)
 
-        monkeypatch.setattr(Attempt, "_solve_motion", watched)
+        monkeypatch.setattr(StepAttempt, "_solve_motion", watched)
         assert grip.move(aside, aside).status is StepStatus.CONVERGED
         ends.append(scene._x.copy())
         assert guessed == [True] * is_known + [False] * (not is_known or iterations == 1)
@@ -154,7 +154,7 @@ def test_a_step_without_a_solution_gives_way_with_less_friction_and_the_next_one
     """In eight iterations it is solved with half of the friction only."""
     few = replace(STANDARD, newton_iterations=8, phase_iterations=8, division_levels=0)
     monkeypatch.setattr(scene, "_SHORTER_STEPS", (1,))
-    monkeypatch.setattr(Attempt, "follow_balances", lambda *_: (StepStatus.NOT_CONVERGED, 1))
+    monkeypatch.setattr(StepAttempt, "follow_balances", lambda *_: (StepStatus.NOT_CONVERGED, 1))
     grip = Grip(contact=arena_contact(2.0))
     grip.squeeze(2e-4)
     half, whole = [

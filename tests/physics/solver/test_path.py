@@ -27,7 +27,7 @@ def pushed(solver: SolverSettings) -> tuple[StepReport, Scene]:
 @pytest.fixture(autouse=True)
 def only_the_path(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing else continues from the start."""
-    monkeypatch.setattr(attempt.Attempt, "_continue_from_start", lambda *_: False)
+    monkeypatch.setattr(attempt.StepAttempt, "_continue_from_start", lambda *_: False)
 
 
 def test_the_path_leads_to_the_state_that_newtons_method_finds(monkeypatch: pytest.MonkeyPatch) -> None:
