@@ -145,7 +145,7 @@ def list_parts(track: str) -> Mapping[str, str]:
 
 def current_versions() -> frozenset[str]:
     """Return the versions of all tracks."""
-    return frozenset({evaluator_version(), *map(find_version, list_tracks())})
+    return frozenset({evaluator_version(), *map(find_version, further_track_files())})
 
 
 def find_evaluator(version: str) -> str:

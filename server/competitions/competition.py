@@ -70,8 +70,8 @@ class Competition:
     @classmethod
     def _read_all(cls, session: Session) -> Sequence[Self]:
         rows = session.scalars(select(CompetitionRow).order_by(CompetitionRow.name)).all()
-        if not rows:
-            return [cls._from_row(session, None)]
+        if len(rows) <= 1:
+            return [cls._from_row(session, rows[0] if rows else None)]
         now = read_clock(session)
         return sorted((cls._from_row(session, row) for row in rows), key=lambda one: _shown_first(one.opens, now))
 
@@ -307,6 +307,8 @@ class Competition:
         """
         load_known_track(track)
         stages = self.list_stages(track)
+        if wanted is None and len(stages) == 1:
+            return stages[0]
         if wanted is None:
             return _last_opened(stages, at or read_clock(self.session)) or stages[0]
         names = [stage.name for stage in stages if not stage.is_practice]

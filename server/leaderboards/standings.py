@@ -124,25 +124,25 @@ def leaderboard(
         require_task(track, task)
     counted = stage.counted_results(live=live or unfrozen)
     board = Board.from_results(stage, counted, kind=kind, task=task)
-    best, named_at = kept_until_change(
-        session,
-        ("best entries", board),
-        lambda: (best_entries(session, board), teams.find_last_naming(session)),
-    )
     played = track.tasks[task or next(iter(track.tasks))].episode_list.kind
+    list_kind = ListKind.SEALED if stage.is_sealed else played
+    is_public = list_kind is ListKind.PUBLIC
+    best, named_at, baselines = kept_until_change(
+        session,
+        ("entries", board, is_public),
+        lambda: (
+            best_entries(session, board),
+            teams.find_last_naming(session),
+            list_baselines(session, track, task) if is_public else [],
+        ),
+    )
     reference = task is not None and is_reference(track.tasks[task])
     if reference:
         best = [replace(entry, rank=None) for entry in best]
-    list_kind = ListKind.SEALED if stage.is_sealed else played
     shown_names = ShownNames.read(session, CONSOLE if live else VISITOR)
     names = f"{named_at} {shown_names.hidden and not live}"
-    is_practice = list_kind is ListKind.PUBLIC and not stage.decides
+    is_practice = is_public and not stage.decides
     list_sentence = stage.list_sentence
-    baselines = (
-        kept_until_change(session, ("baselines", track.name, task), lambda: list_baselines(session, track, task))
-        if list_kind is ListKind.PUBLIC
-        else []
-    )
     revision = compute_revision(
         f"{board} {counted} {list_kind} {list_sentence} {is_practice} {names}", [*best, *baselines]
     )

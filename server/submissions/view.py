@@ -72,7 +72,7 @@ def submission_views(
         fleet=known_workers,
         workers=cache(partial(_workers, known_workers)),
         places=cache(partial(_places, session, by)),
-        find_stage=partial(find_stage, session),
+        find_stage=cache(partial(find_stage, session)),
     )
     return [_view(evaluation, shown) for evaluation in runs.values()]
 
