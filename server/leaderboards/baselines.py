@@ -152,6 +152,9 @@ _FIGURES = (
         23.76,
         {"stages": 2.0417},
     ),
+    _Figures(
+        "assembly", "assembly", "assembly_cloned", {"narrow": (11, 49), "wide": (24, 36)}, 28.25, {"stages": 3.4917}
+    ),
 )
 _COMBINED = {"track_1_heuristic": ("peg_insertion_heuristic", "lock_opening_heuristic")}
 """Examples of all tasks of a track, and those of single tasks that they are copies of."""

@@ -20,7 +20,10 @@ EXACTLY = ExpertPlan(gain=1.0, measured=False)
 BOLDLY = replace(EXACTLY, gain=1.5)
 """How the expert goes to the target, from where the part is measured to be."""
 SPREAD = 0.6
-"""Largest standard deviation of the noise on the expert's actions; each of its episodes draws its own."""
+"""Largest standard deviation of the noise on the expert's actions; each of its episodes draws its own.
+
+Half of the episodes of an exact expert have less than an eighth of it: more undoes a grip, or what is put in.
+"""
 NEAR = np.array([1.0, 1.0, 1.5])
 """Offset [mm, mm, degree] within which the expert lowers a peg: a policy that cannot see it never gets to none."""
 CAUTION = 0.25
@@ -81,7 +84,7 @@ class ClonedTask:
         self._expert = Expert(task, keys, **({} if sensor is None else {"sensor": sensor}))
         self.env = self._expert.env
         self.n_actions = len(task.actions)
-        self._plan = EXACTLY if task.definition.guides_exactly else BOLDLY
+        self._plan, self._steadiness = (EXACTLY, 3) if task.definition.guides_exactly else (BOLDLY, 1)
         self.loss: Loss = squared if task.definition.can_go_back else cautious
 
     def play(self, seed: int, numbers: Sequence[int], weights: Mapping[str, FloatArray] | None) -> ClonedEpisodes:
@@ -90,7 +93,7 @@ class ClonedTask:
 
     def _play_one(self, start: tuple[int, int], weights: Mapping[str, FloatArray] | None) -> ClonedEpisodes:
         random = np.random.default_rng((*start, 1))
-        spread = random.uniform(0.0, SPREAD)
+        spread = SPREAD * random.uniform() ** self._steadiness
         observation, info = self.env.reset(options={"rng_seed": start})
         memory, actions = Memory(self.n_actions), []
         while info["end_reason"] is None:

@@ -162,8 +162,10 @@ def choose_start(
     return AssemblyStart(shape=shape, x_mm=x_mm, y_mm=y_mm, theta_deg=theta_deg)
 
 
-# Heights of the part's lower end that the expert goes for, above the plate.
-_CARRIED_MM, _INSERTED_MM = 1.2, -7.8
+# Heights of the part's lower end that the expert goes for, above the plate; it is in the opening below the third one.
+_CARRIED_MM, _INSERTED_MM, _IN_MM = 1.2, -7.8, -0.5
+# How far beside the opening the part already goes down, to slide over the rim pressed on it.
+_NEARBY_MM, _RIM_MM = 2.5, -0.1
 # Width at which the gels do not touch the head yet, the grip force, and the force of a jaw by how far it closes on.
 _NEAR_MM, _GRIP_N, _STIFFNESS_N_MM = 30.8, 20.0, 45.0
 
@@ -171,20 +173,24 @@ _NEAR_MM, _GRIP_N, _STIFFNESS_N_MM = 30.8, 20.0, 45.0
 def fetch_insert_and_turn(_: Observation, info: Info) -> ActionArray:
     """Close on the part, carry it straight over the socket, put it in and turn it against the stops.
 
-    It is gripped where it is: who imitates this feels then how it is held.
+    It is gripped where it is, and slides over the socket's rim: who imitates this feels then how it is held, and on
+    which side the opening is.
     """
     x_mm, y_mm, z_mm, theta_deg = info["offset_mm_deg"].tolist()
     gone = info["relative_motion_mm_deg"].tolist()
     arm_mm = (gone[0] - x_mm - SOCKET_X_MM, gone[1] - y_mm)
+    closing_mm = (_GRIP_N - info["grip_force_n"]) / _STIFFNESS_N_MM
     if info["stage"] == AssemblyStage.NOTHING and info["grip_force_n"] < 0.6 * _GRIP_N:
         to_near_mm = info["gripper_width_mm"] - _NEAR_MM
-        closing_mm = to_near_mm if to_near_mm > 1e-3 else (_GRIP_N - info["grip_force_n"]) / _STIFFNESS_N_MM
-        return _scaled([0.0, 0.0, 0.0, 0.0, -closing_mm])
+        return _scaled([0.0, 0.0, 0.0, 0.0, -(to_near_mm if to_near_mm > 1e-3 else closing_mm)])
+    aside_mm, turned_deg = max(abs(x_mm), abs(y_mm)), abs(theta_deg)
     way = [-x_mm, -y_mm, _CARRIED_MM - z_mm, -theta_deg]
-    if max(abs(x_mm), abs(y_mm)) < 0.5 and z_mm < INSERTED_BELOW_MM - 0.3:
+    if aside_mm < _NEARBY_MM and z_mm < INSERTED_BELOW_MM - 0.3:
         way[2:] = [_INSERTED_MM - z_mm, TURN_DEG - theta_deg]
-    elif max(abs(x_mm), abs(y_mm)) < 0.5 and abs(theta_deg) < 3.0:
+    elif (aside_mm < _NEARBY_MM and z_mm < _IN_MM) or (aside_mm < 0.5 and turned_deg < 3.0):
         way[2] = _INSERTED_MM - z_mm
+    elif aside_mm < _NEARBY_MM and turned_deg < 10.0:
+        way[2] = _RIM_MM - z_mm
     elif z_mm < FETCHED_ABOVE_MM:
         way[:2] = [0.0, 0.0]
     part = _longest(way)
@@ -192,7 +198,7 @@ def fetch_insert_and_turn(_: Observation, info: Info) -> ActionArray:
     sine, cosine = sine_cosine(radians(part[3]))
     part[0] += cosine * arm_mm[0] - sine * arm_mm[1] - arm_mm[0]
     part[1] += sine * arm_mm[0] + cosine * arm_mm[1] - arm_mm[1]
-    return _scaled([*part, 0.0])
+    return _scaled([*part, -closing_mm])
 
 
 def _longest(way: list[float]) -> list[float]:

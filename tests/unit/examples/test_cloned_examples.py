@@ -22,7 +22,10 @@ def example(repository: Path, name: str) -> Path:
     return manifest.parent
 
 
-@pytest.mark.parametrize("name", ["cable_end_cloned", "in_hand_turn_cloned", "slip_cloned", "soft_plug_cloned"])
+NAMES = ["assembly_cloned", "cable_end_cloned", "in_hand_turn_cloned", "slip_cloned", "soft_plug_cloned"]
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_is_a_valid_submission_of_what_was_trained(example: Path, task: Task) -> None:
     manifest = load_manifest(example)
     assert (find_task(task.name)[0].name, manifest.tasks) == (manifest.track, (task.name,))
@@ -34,6 +37,7 @@ def test_is_a_valid_submission_of_what_was_trained(example: Path, task: Task) ->
 @pytest.mark.parametrize(
     ("name", "number"),
     [
+        ("assembly_cloned", 0),
         pytest.param("cable_end_cloned", 14, marks=pytest.mark.slow),
         ("in_hand_turn_cloned", 7),
         ("slip_cloned", 86),

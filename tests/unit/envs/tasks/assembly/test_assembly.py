@@ -131,9 +131,29 @@ def test_truth_is_told_to_nobody_but_the_expert() -> None:
     assert set(observation) == {"marker_flow", "relative_motion", "gripper_width"}
     action = fetch_insert_and_turn(observation, info | {"grip_force_n": 0.0})
     assert action == pytest.approx([0.0, 0.0, 0.0, 0.0, -1.0], abs=1e-6), "it closes where it is"
-    held = info | {"stage": 1, "offset_mm_deg": np.array([-6.0, 0.0, 1.2, 0.0]), "grip_force_n": 15.0}
-    held["relative_motion_mm_deg"] = np.array([20.0, 0.0, 3.0, 0.0])
-    assert fetch_insert_and_turn(observation, held) == pytest.approx([1.0, 0.0, 0.0, 0.0, 0.0], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("offset_mm_deg", "grip_force_n", "expected"),
+    [
+        ((-6.0, 0.0, 1.2, 0.0), 20.0, [1.0, 0.0, 0.0, 0.0, 0.0]),
+        ((-6.0, 0.0, 1.2, 0.0), 11.0, [1.0, 0.0, 0.0, 0.0, -0.1]),
+        ((-2.0, 0.0, 0.0, 0.0), 20.0, [1 / 3, 0.0, -1 / 30, 0.0, 0.0]),
+        ((-0.2, 0.0, 0.0, 0.0), 20.0, [1 / 78, 0.0, -1.0, 0.0, 0.0]),
+        ((-0.6, 0.0, -1.8, 0.0), 20.0, [1 / 20, 0.0, -1.0, 0.0, 0.0]),
+        ((0.0, 0.0, -7.8, 12.0), 20.0, [0.0, 0.0, 0.0, 1.0, 0.0]),
+    ],
+    ids=["carries", "grips again", "slides over the rim", "lowers", "goes on in the opening", "turns"],
+)
+def test_expert_does_what_the_place_of_the_part_asks_for(
+    offset_mm_deg: tuple[float, ...], grip_force_n: float, expected: list[float]
+) -> None:
+    env = AssemblyEnv()
+    observation, info = env.reset(options=START)
+    offset = np.array(offset_mm_deg)
+    info |= {"stage": 1, "offset_mm_deg": offset, "grip_force_n": grip_force_n}
+    info["relative_motion_mm_deg"] = np.array([26.0 + offset[0], 0.0, 3.0, 0.0])
+    assert fetch_insert_and_turn(observation, info) == pytest.approx(expected, abs=1e-6)
 
 
 def test_what_the_options_leave_open_follows_from_the_seed() -> None:
