@@ -22,7 +22,8 @@ BOLDLY = replace(EXACTLY, gain=1.5)
 SPREAD = 0.6
 """Largest standard deviation of the noise on the expert's actions; each of its episodes draws its own.
 
-Half of the episodes of an exact expert have less than an eighth of it: more undoes a grip, or what is put in.
+That of an exact expert is the cube of the part that is drawn, so half of its episodes have less than an eighth: more
+undoes a grip, or what is put in.
 """
 NEAR = np.array([1.0, 1.0, 1.5])
 """Offset [mm, mm, degree] within which the expert lowers a peg: a policy that cannot see it never gets to none."""
@@ -84,7 +85,7 @@ class ClonedTask:
         self._expert = Expert(task, keys, **({} if sensor is None else {"sensor": sensor}))
         self.env = self._expert.env
         self.n_actions = len(task.actions)
-        self._plan, self._steadiness = (EXACTLY, 3) if task.definition.guides_exactly else (BOLDLY, 1)
+        self._plan, self._spread_power = (EXACTLY, 3) if task.definition.guides_exactly else (BOLDLY, 1)
         self.loss: Loss = squared if task.definition.can_go_back else cautious
 
     def play(self, seed: int, numbers: Sequence[int], weights: Mapping[str, FloatArray] | None) -> ClonedEpisodes:
@@ -93,7 +94,7 @@ class ClonedTask:
 
     def _play_one(self, start: tuple[int, int], weights: Mapping[str, FloatArray] | None) -> ClonedEpisodes:
         random = np.random.default_rng((*start, 1))
-        spread = SPREAD * random.uniform() ** self._steadiness
+        spread = SPREAD * random.uniform() ** self._spread_power
         observation, info = self.env.reset(options={"rng_seed": start})
         memory, actions = Memory(self.n_actions), []
         while info["end_reason"] is None:

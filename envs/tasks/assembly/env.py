@@ -173,8 +173,8 @@ _NEAR_MM, _GRIP_N, _STIFFNESS_N_MM = 30.8, 20.0, 45.0
 def fetch_insert_and_turn(_: Observation, info: Info) -> ActionArray:
     """Close on the part, carry it straight over the socket, put it in and turn it against the stops.
 
-    It is gripped where it is, and slides over the socket's rim: who imitates this feels then how it is held, and on
-    which side the opening is.
+    It is gripped where it is, and where it comes to the socket beside the opening it goes down and slides over the rim:
+    who imitates this feels how it is held, and that it is not over the opening yet.
     """
     x_mm, y_mm, z_mm, theta_deg = info["offset_mm_deg"].tolist()
     gone = info["relative_motion_mm_deg"].tolist()

@@ -104,7 +104,7 @@ def test_locked_part_stays_where_it_is_let_go(lock: Any) -> None:
     assert info["offset_mm_deg"][3] > 57.0
 
 
-@pytest.mark.parametrize(("pull_mm", "slides"), [(0.9, False), (2.5, True)])
+@pytest.mark.parametrize(("pull_mm", "slides"), [(0.9, False), (3.0, True)])
 def test_pulling_at_the_lock_and_letting_up_costs_energy_and_yields_none(
     lock: Any, pull_mm: float, *, slides: bool
 ) -> None:
@@ -123,7 +123,7 @@ def test_pulling_at_the_lock_and_letting_up_costs_energy_and_yields_none(
     play(lock, *[(0, 0, pull_mm / parts, 0, 0)] * parts, *[(0, 0, -pull_mm / parts, 0, 0)] * parts)
     assert largest_j > 2e-4
     assert work_j > -0.01 * largest_j
-    assert (work_j > 0.2 * largest_j) == slides
+    assert (work_j > 0.3 * largest_j) == slides
 
 
 @pytest.mark.slow

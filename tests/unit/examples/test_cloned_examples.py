@@ -22,10 +22,9 @@ def example(repository: Path, name: str) -> Path:
     return manifest.parent
 
 
-NAMES = ["assembly_cloned", "cable_end_cloned", "in_hand_turn_cloned", "slip_cloned", "soft_plug_cloned"]
-
-
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "name", ["assembly_cloned", "cable_end_cloned", "in_hand_turn_cloned", "slip_cloned", "soft_plug_cloned"]
+)
 def test_is_a_valid_submission_of_what_was_trained(example: Path, task: Task) -> None:
     manifest = load_manifest(example)
     assert (find_task(task.name)[0].name, manifest.tasks) == (manifest.track, (task.name,))

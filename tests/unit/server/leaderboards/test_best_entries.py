@@ -147,6 +147,11 @@ def test_as_long_as_nothing_changes_boards_and_places_cost_one_small_statement(m
         entries = best_entries(session, Board(track=TRACK, task=TASK))
     assert again == first
     assert work.rows_read["board_results"] <= 2 * 10, "those of the last call, which keeps nothing"
+    with many_results.reading() as session:
+        stage = shown_stage(session, TRACK)
+        with database_work(session) as work:
+            leaderboard(session, stage)
+    assert work.statements == 1, "a page asks once whether anything has changed, for entries and baselines"
     assert best == {entry.rank: entry.submission_id for entry in entries}
 
 

@@ -164,3 +164,31 @@ def test_an_expert_that_says_what_to_do_is_copied_as_it_is_and_one_that_says_the
     cloned = playing.ClonedTask(find_task(task)[1], ())
     monkeypatch.setattr(cloned._expert, "_way", lambda *_: np.array([0.4]))
     assert cloned.expert_action({}, np.random.default_rng(0)) == pytest.approx([gone])
+
+
+@pytest.mark.parametrize(("task", "power"), [("peg-insertion", 1), ("assembly", 3)])
+def test_noise_on_the_actions_of_an_exact_expert_is_small_in_most_episodes(
+    task: str, power: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(expert, "make_environment", lambda *_, **__: Noted())
+    stage = playing.ClonedTask(find_task(task)[1], ())
+    monkeypatch.setattr(stage, "expert_action", lambda *_: np.zeros(stage.n_actions))
+    for number in range(3):
+        stage.play(7, [number], None)
+        part = np.random.default_rng((7, number, 1)).uniform()
+        assert np.std(stage.env.actions) == pytest.approx(playing.SPREAD * part**power, rel=0.1)
+
+
+class Noted:
+    """An environment that notes the actions of its last episode, of 200 env steps."""
+
+    task_scene = SimpleNamespace(shape="none")
+
+    def reset(self, **_: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+        self.actions: list[Any] = []
+        return {"relative_motion": np.zeros(3)}, {"end_reason": None}
+
+    def step(self, action: Any) -> tuple[Any, ...]:
+        self.actions.append(action)
+        ended = "steps" if len(self.actions) == 200 else None
+        return {"relative_motion": np.zeros(3)}, 0.0, False, False, {"end_reason": ended, "is_success": False}
