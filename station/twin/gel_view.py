@@ -119,7 +119,8 @@ Picture = NDArray[np.uint8]
 _MIDDLE_PX: Final = np.array((160.0, 120.0))
 _WIDTH, _HEIGHT = 448, 338
 _NO_BODY: Final = (np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
-_UNMOVED_M: Final = 1e-7
+_UNMOVED_M: Final = 1e-6
+"""A marker moves by a hundredth of a pixel then."""
 _PICTURE_ROWS: Final = 240.0
 _AGES_PER_H: Final = 100
 """So often the light is another one."""
@@ -211,8 +212,7 @@ class GelView:
             return
         self._seen_m, self._lit_as = gel_m, None
         seen = self._surface_camera.picture(gel_m, held_m, triangles, np.zeros((0, 2)))
-        cut = self._through_lens(seen)
-        self._surface, self._torn = self._camera.framed(cut), _tear(cut)
+        self._cut = self._through_lens(seen)
         self._markers_px = see_through_lens(self._sensor, self._printed.project_px(gel_m))
 
     def picture(self, *, drift_px: float = 0.0, is_torn: bool = False, age_h: float = 0.0) -> Picture:
@@ -233,12 +233,15 @@ class GelView:
         return self._camera.expose(self._lit, self._noise[rows : rows + _HEIGHT, columns : columns + _WIDTH])
 
     def _is_moving(self) -> bool:
-        """Say whether a shutter that takes its time sees another picture than a gel at rest."""
-        is_slow = self._structure.readout_s > 0.0 or self._structure.exposure_s > 0.0
-        return bool(is_slow and self._shown_px is not None and np.any(self._shown_px != self._markers_px))
+        """Say whether a marker moves by more than its print resolves while the shutter reads a picture."""
+        if self._shown_px is None:
+            return False
+        open_s = self._structure.readout_s + self._structure.exposure_s
+        way_px = np.abs(self._markers_px - self._shown_px) * open_s / self._period_s
+        return bool(way_px.max() * SUBPIXELS > 1.0)
 
     def _light(self, drift_px: float, is_torn: bool) -> NDArray[np.float32]:
-        markers_px, darkness, surface = self._markers_px + drift_px, self._darkness, self._surface
+        markers_px, darkness, cut = self._markers_px + drift_px, self._darkness, self._cut
         smear_px = None
         if self._shown_px is not None and self._is_moving():
             velocity_px_s = (self._markers_px - self._shown_px) / self._period_s
@@ -249,8 +252,8 @@ class GelView:
             is_whole = np.linalg.norm(markers_px - _TORN_AT_PX, axis=1) > _TORN_PX
             markers_px, darkness = markers_px[is_whole], darkness[is_whole]
             smear_px = smear_px[is_whole] if smear_px is not None else None
-            surface = self._camera.framed(self._torn)
-        return self._camera.print_markers(surface, markers_px, darkness, smear_px)
+            cut = _tear(cut)
+        return self._camera.print_markers(self._camera.framed(cut), markers_px, darkness, smear_px)
 
     @property
     def markers(self) -> int:

@@ -107,6 +107,8 @@ _PLAYING_LIMITS: Final[dict[str, Any]] = {
 """The torque is that of the largest force at the lower end of the peg, 0.19 m below the sensor."""
 _PATIENCE: Final = 10.0
 """As with `reading_s` and `heartbeat_s`: its process shares cores with the station, and with whatever else runs."""
+_FRAMES_HZ: Final = 250
+"""Of forces, which change only with the pictures here."""
 _OVERVIEW_PERIOD_S: Final = 0.1
 _PROMPTS: Final = {"peg": [346, 290], "base": [342, 225]}
 
@@ -152,6 +154,7 @@ def playing_station(bench: Bench) -> Iterator[TwinStation]:
         station = _at_lines(stack, left, right, box, bench.stage, bench.gripper)
         station.description["limits"] |= _PLAYING_LIMITS
         station.description["patience"] = _PATIENCE
+        station.description["force_torque"]["rate_hz"] = _FRAMES_HZ
         station.description["twin"] = bench.mark.model_dump(mode="json")
         station.description["procedure"] = {
             "shape": str(bench.mounted.shape),

@@ -1,6 +1,6 @@
 """Plays a final of three teams and a control policy on two twins, unattended, while everything is killed in turn.
 
-    .venv/bin/python tests/chaos/finals.py [--starts 10] [--minutes 30] [--twin A|B] [--without mesh]
+    .venv/bin/python tests/chaos/finals.py [--starts 10] [--minutes 30] [--pause 30] [--twin A|B]
 
 Each twin breaks in every scripted way once; agents, worker, server and PostgreSQL are killed with -9 until all trials
 are over. Exit code 0: no trial was lost or doubled, each was played at its place, and its video agrees with its record.
@@ -43,7 +43,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 STATIONS = ("east", "west")
 TEAMS = ("Ants", "Bees", "Cats", "Controls")
 EXAMPLE = REPOSITORY / "examples" / "peg_insertion_trained"
-OPEN_S, PAUSE_S, FIRST_CONTACT = 60.0, (20.0, 40.0), 2
+OPEN_S, FIRST_CONTACT = 60.0, 2
 CALM_FROM = 0.9
 """Nothing is killed once this part of the trials is over, and everything was killed."""
 TRIALS = "SELECT work.state, count(*) FROM work JOIN shards ON shards.id = work.id GROUP BY work.state"
@@ -56,6 +56,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--starts", type=int, default=10, help="how many starts, each played by all once")
     parser.add_argument("--minutes", type=float, default=30.0, help="how long it may take")
+    parser.add_argument("--pause", type=float, default=30.0, help="seconds between two kills, a third more or less")
     parser.add_argument("--twin", type=TwinClass, default=TwinClass.A, help="class of both twins")
     parser.add_argument("--without", nargs="*", default=[], help="differences of class B that are switched off")
     parser.add_argument("--seed", type=int, default=1, help="of the kills and of what the twins hide")
@@ -181,7 +182,7 @@ def disturb(service: DisturbedService, expected: int, options: argparse.Namespac
     kills: Counter[str] = Counter()
     done_at_kill = -1
     while (done := count_done(service)) < expected and time.monotonic() < end:
-        time.sleep(generator.uniform(*PAUSE_S))
+        time.sleep(options.pause * generator.uniform(2 / 3, 4 / 3))
         if done <= done_at_kill or (done >= CALM_FROM * expected and all(kills[each] for each in names)):
             continue
         done_at_kill = done
