@@ -1,6 +1,6 @@
 """Plays a final of three teams and a control policy on two twins, unattended, while everything is killed in turn.
 
-    .venv/bin/python tests/chaos/finals.py [--starts 10] [--minutes 30] [--pause 30] [--twin A|B]
+    .venv/bin/python tests/chaos/finals.py [--starts 10] [--repeats 1] [--minutes 30] [--pause 30]
 
 Each twin breaks in every scripted way once; agents, worker, server and PostgreSQL are killed with -9 until all trials
 are over. Exit code 0: no trial was lost or doubled, each was played at its place, and its video agrees with its record.
@@ -54,7 +54,8 @@ RECORDS = "SELECT submission_digest, task, episode, record FROM episode_results"
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--starts", type=int, default=10, help="how many starts, each played by all once")
+    parser.add_argument("--starts", type=int, default=10, help="how many of the 30 starts all play")
+    parser.add_argument("--repeats", type=int, default=1, help="how often each start is played by each")
     parser.add_argument("--minutes", type=float, default=30.0, help="how long it may take")
     parser.add_argument("--pause", type=float, default=30.0, help="seconds between two kills, a third more or less")
     parser.add_argument("--twin", type=TwinClass, default=TwinClass.A, help="class of both twins")
@@ -64,7 +65,7 @@ def main() -> int:
     folder = Path(tempfile.mkdtemp(prefix="vitac-finals-"))
     folder.chmod(0o711)
     (folder / "state").mkdir(mode=0o711)
-    use_station_track(folder / "tracks", starts=options.starts, repeats=1)
+    use_station_track(folder / "tracks", starts=options.starts, repeats=options.repeats)
     service = DisturbedService(folder=folder, workers=1, tracks=folder / "tracks")
     problems = ["the run was interrupted"]
     service.start()
@@ -91,7 +92,8 @@ def play(service: DisturbedService, options: argparse.Namespace) -> Iterator[str
             file.with_suffix(".key").write_text(admin(service, "station", "add", name)["key"])
         plan = begin_trials(service, closes)
         service.agents |= {f"agent {name}": service.folder / f"{name}.yaml" for name in STATIONS}
-        expected, clocks_s = options.starts * len(TEAMS), [time.monotonic(), *(twin.time_s() for twin in twins)]
+        expected = options.starts * options.repeats * len(TEAMS)
+        clocks_s = [time.monotonic(), *(twin.time_s() for twin in twins)]
         kills = disturb(service, expected, options)
         took_s, *by_twins_s = np.subtract([time.monotonic(), *(twin.time_s() for twin in twins)], clocks_s)
         began = {name: set(twin.begun()) for name, twin in zip(STATIONS, twins, strict=True)}
