@@ -147,7 +147,7 @@ def make_record(task: Task, episode: Episode, attempt: Attempt, station: Station
         episode=episode.number,
         task=task.name,
         shape=episode.shape,
-        initial_offset=episode.offset,
+        initial_offset=attempt.start,
         outcome=EpisodeOutcome(attempt.outcome),
         env_steps=len(attempt.actions),
         total_reward=0.0,

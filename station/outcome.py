@@ -46,7 +46,7 @@ _SENTENCES: Final = {
     TrialOutcome.TACTILE: "A marker moved beyond its limit, or that of force or torque stopped the policy twice.",
     TrialOutcome.ERROR: "An action led out of the range of offsets; nothing moved.",
     TrialOutcome.POLICY_FAILED: "The policy crashed, broke a limit or answered wrongly; nothing moved.",
-    TrialOutcome.NOT_BLOCKED: "The descent met no plate, so the start was not blocked.",
+    TrialOutcome.NOT_BLOCKED: "The descent met no plate, so no start was blocked.",
     TrialOutcome.NO_PEG: "The gripper holds no peg, or lost it.",
     TrialOutcome.STOPPED: "A limit of the station was passed and everything stopped.",
     TrialOutcome.DEVICE_FAULT: "A device did not answer or reported a fault.",

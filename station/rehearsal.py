@@ -100,7 +100,7 @@ class TrialRecord(StrictModel):
         return cls(
             episode=episode.number,
             shape=episode.shape,
-            offset=episode.offset,
+            offset=attempts[-1].start,
             attempts=tuple(AttemptRecord.from_attempt(each) for each in attempts),
         )
 

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from time import monotonic
 from typing import Any, Final
@@ -34,6 +35,8 @@ _THRESHOLD_FACTOR: Final = 1.25
 _CONTACT_FACTOR: Final = 1.25
 _REGRASP_FACTOR: Final = 2.5
 _REGRASPS: Final = 3
+_STARTS: Final = 3
+"""That are tried, one after the other, until one is blocked."""
 _RELAXED_FACTOR: Final = 3.0
 _LARGE_MOVEMENT_PX: Final = 1.5
 _PUSH_FACTOR: Final = 5.0
@@ -46,7 +49,7 @@ Pair = tuple[float, float]
 
 
 class NotBlocked(VitacError):
-    """The descent met nothing; the start is repeated, as the fixed offset stays what it is."""
+    """The descent met nothing, at the start and at those that took its place."""
 
 
 @dataclass(kw_only=True)
@@ -54,6 +57,7 @@ class Attempt:
     """What was recorded of one attempt at a trial.
 
     Attributes:
+        start: where the policy began, as in the list.
         outcome: how it ended.
         reason: in a sentence, where the outcome alone does not say it.
         actions: that the policy gave.
@@ -73,6 +77,7 @@ class Attempt:
         stopped_by_force: whether the limit of force or torque stopped a motion of the policy.
     """
 
+    start: tuple[float, ...]
     outcome: TrialOutcome = TrialOutcome.REFUSED
     reason: str = ""
     actions: list[NDArray[np.float32]] = field(default_factory=list)
@@ -123,22 +128,23 @@ class StationTrial:
         self._station, self._arm = station, Arm(station)
         self._task, self._reading, self._open_session = task, reading, open_session
         self._task_name = task.station_of or task.name
-        self._start = self._find_start(episode)
+        self._episode = episode
+        self._start = self._find_start(episode.offset)
         self._folder, self._show, self._recorder = folder, show, recorder
         self._operator = operator or Operator(asks=False)
         self._generator = np.random.default_rng((episode.list_seed, episode.number))
         self._z_step_mm = station.procedure.z_step_mm
-        self._attempt = Attempt()
+        self._attempt = Attempt(start=episode.offset)
         self._free_wrench = np.zeros(6)
 
-    def _find_start(self, episode: Episode) -> Offset:
-        """Return where the peg stands at the start: x and y [mm] from the place in the file, angle [deg]."""
-        x_mm, y_mm, theta_deg = episode.offset
+    def _find_start(self, offset: tuple[float, ...]) -> Offset:
+        """Return where the peg stands at a start: x and y [mm] from the place in the file, angle [deg]."""
+        x_mm, y_mm, theta_deg = offset
         return x_mm, y_mm, theta_deg
 
     def play(self) -> Attempt:
         """Play it, and lift the peg off the plate unless the station is stopped."""
-        attempt = self._attempt = Attempt(action_numbers=len(self._task.actions))
+        attempt = self._attempt = Attempt(start=self._episode.offset, action_numbers=len(self._task.actions))
         try:
             attempt.outcome = self._play()
         except PolicyFailed as failed:
@@ -206,9 +212,27 @@ class StationTrial:
 
     def _approach(self) -> float:
         """Go where the policy begins; return the stage's height at the contact [mm]."""
-        contact_mm = self._descend()
+        contact_mm = self._find_contact()
         self._arm.go(self._arm.pose()._replace(z_mm=contact_mm - self._z_step_mm))
         return contact_mm
+
+    def _find_contact(self) -> float:
+        """Come down until a gel feels the plate, and return the stage's height there [mm].
+
+        Of a start that is not blocked here the next one of the list takes the place, where the challenge draws another
+        offset: so all policies begin at the same one.
+        """
+        own, episodes = self._episode, self._task.episodes
+        others = (*episodes[own.number :], *episodes[: own.number])
+        starts = dict.fromkeys((own.offset, *(each.offset for each in others if each.shape == own.shape)))
+        for offset in islice(starts, _STARTS):
+            self._attempt.start, self._start = offset, self._find_start(offset)
+            self._go_beside()
+            if (contact_mm := self._descend()) is not None:
+                return contact_mm
+            self._operator.wait_while_paused("The start is not blocked: the next one of the list takes its place.")
+        timeout_s = self._station.procedure.descent_timeout_s
+        raise NotBlocked(f"At none of {_STARTS} starts of the list a gel felt the plate within {timeout_s} s.")
 
     def _grasp(self) -> None:
         """Hold the peg at the height beside the hole, grasped again where it has moved between the gels."""
@@ -247,8 +271,8 @@ class StationTrial:
         left, right = np.maximum(_THRESHOLD_PX, _THRESHOLD_FACTOR * np.mean(seen, axis=0)).tolist()
         return left, right
 
-    def _descend(self) -> float:
-        """Come down until a gel feels the plate, and return the stage's height there [mm]."""
+    def _descend(self) -> float | None:
+        """Return the stage's height [mm] where a gel feels the plate; None where none does."""
         arm, procedure = self._arm, self._station.procedure
         start = arm.place(self._start, arm.height_mm(procedure.start_mm))
         arm.go(start)
@@ -260,7 +284,7 @@ class StationTrial:
             lambda seen, pose: pose.z_mm <= last_mm or self._exceeds(seen, _CONTACT_FACTOR),
         )
         if sight is None or not self._exceeds(sight, _CONTACT_FACTOR):
-            raise NotBlocked(f"No gel felt the plate within {procedure.descent_timeout_s} s of the descent.")
+            return None
         self._show("contact", sight)
         return arm.pose().z_mm
 

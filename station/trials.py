@@ -43,10 +43,10 @@ _DEPTH_MM: Final = 1.0
 class FusionTrial(StationTrial):
     """Attempts at one episode of the fusion task."""
 
-    def _find_start(self, episode: Episode) -> Offset:
-        x_mm, y_mm, theta_deg, z_mm, *_ = episode.offset
+    def _find_start(self, offset: tuple[float, ...]) -> Offset:
+        x_mm, y_mm, theta_deg, z_mm, *_ = offset
         self._start_mm = z_mm + _START_GAP_MM
-        self._hole_y_mm = HOLES_Y_MM[episode.shape]
+        self._hole_y_mm = HOLES_Y_MM[self._episode.shape]
         return x_mm, y_mm + HEXAGON_HOLE_Y_MM / 2, theta_deg
 
     def _approach(self) -> float:
@@ -209,7 +209,7 @@ class TrialPlayer:
         except (DeviceFault, DeviceNotFound) as error:
             self._close()
             self._stopped_for = str(error)
-            return Attempt(outcome=TrialOutcome.DEVICE_FAULT, reason=str(error))
+            return Attempt(start=episode.offset, outcome=TrialOutcome.DEVICE_FAULT, reason=str(error))
         is_fusion = StationTask(task.station_of or task.name) is StationTask.FUSION
         recorder = None if code is None else VideoRecorder(station, self.video_file, code, self.share)
         with recorder or nullcontext():

@@ -17,7 +17,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -41,7 +41,7 @@ from vitac.station.verification import verify_video
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 STATIONS = ("east", "west")
-TEAMS = ("Ants", "Bees", "Cats", "Controls")
+TEAMS, CONTROL = ("Ants", "Bees", "Cats"), "Controls"
 EXAMPLE = REPOSITORY / "examples" / "peg_insertion_trained"
 OPEN_S, FIRST_CONTACT = 60.0, 2
 CALM_FROM = 0.9
@@ -60,6 +60,7 @@ def main() -> int:
     parser.add_argument("--pause", type=float, default=30.0, help="seconds between two kills, a third more or less")
     parser.add_argument("--twin", type=TwinClass, default=TwinClass.A, help="class of both twins")
     parser.add_argument("--without", nargs="*", default=[], help="differences of class B that are switched off")
+    parser.add_argument("--no-control", action="store_true", help="let no control policy play beside the teams")
     parser.add_argument("--seed", type=int, default=1, help="of the kills and of what the twins hide")
     options = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix="vitac-finals-"))
@@ -80,8 +81,9 @@ def main() -> int:
 def play(service: DisturbedService, options: argparse.Namespace) -> Iterator[str]:
     """Run the final and yield what was found."""
     wait_until_ready(service)
-    tokens = register(service)
-    closes = begin_stage(service)
+    teams = TEAMS if options.no_control else (*TEAMS, CONTROL)
+    tokens = register(service, teams)
+    closes = begin_stage(service, teams)
     for name, token in tokens.items():
         submit(service, name, token)
     with ExitStack() as stack:
@@ -92,7 +94,7 @@ def play(service: DisturbedService, options: argparse.Namespace) -> Iterator[str
             file.with_suffix(".key").write_text(admin(service, "station", "add", name)["key"])
         plan = begin_trials(service, closes)
         service.agents |= {f"agent {name}": service.folder / f"{name}.yaml" for name in STATIONS}
-        expected = options.starts * options.repeats * len(TEAMS)
+        expected = options.starts * options.repeats * len(teams)
         clocks_s = [time.monotonic(), *(twin.time_s() for twin in twins)]
         kills = disturb(service, expected, options)
         took_s, *by_twins_s = np.subtract([time.monotonic(), *(twin.time_s() for twin in twins)], clocks_s)
@@ -113,15 +115,15 @@ def admin(service: DisturbedService, *words: str) -> Any:
     return json.loads(done.stdout)
 
 
-def register(service: DisturbedService) -> dict[str, str]:
+def register(service: DisturbedService, teams: Sequence[str]) -> dict[str, str]:
     found = {}
-    for name in TEAMS:
+    for name in teams:
         answer = httpx.post(f"{service.address}/api/v1/teams", json={"name": name}, timeout=60).raise_for_status()
         found[name] = answer.json()["token"]["secret"]
     return found
 
 
-def begin_stage(service: DisturbedService) -> datetime:
+def begin_stage(service: DisturbedService, teams: Sequence[str]) -> datetime:
     """Apply a competition whose only stage closes as soon as everybody has submitted, and return when."""
     now = datetime.now(UTC)
     closes = now + timedelta(seconds=OPEN_S)
@@ -133,7 +135,7 @@ def begin_stage(service: DisturbedService) -> datetime:
         "accepts": ["model"],
         "list": "sealed",
         "sealed": "at_once",
-        "plan": {"stations": list(STATIONS), "control": TEAMS[-1], "live_delay_s": 10},
+        "plan": {"stations": list(STATIONS), "control": CONTROL if CONTROL in teams else None, "live_delay_s": 10},
     }
     tracks = {TRACK: {"title": "Finals", "stages": [stage]}}
     file = service.folder / "cup.yaml"

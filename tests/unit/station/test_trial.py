@@ -13,6 +13,7 @@ from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
 from vitac.evaluator.episodes.reading import Observation, make_reading
 from vitac.evaluator.strict_model import validate
 from vitac.evaluator.tracks import Episode, load_track
+from vitac.station import trial
 from vitac.station.arm import Arm
 from vitac.station.description import StationDescription
 from vitac.station.eyes import NoProcedure, OpenStation, open_station
@@ -70,7 +71,7 @@ def play(station: OpenStation, tmp_path: Path) -> Callable[..., tuple[Attempt, S
     def play_trial(act: Act, start: tuple[float, float, float] = START) -> tuple[Attempt, Scripted]:
         session = Scripted(act)
         episode = Episode(number=1, shape="cuboid", offset=start, offset_option="offset_mm_deg", list_seed=0)
-        trial = StationTrial(
+        played = StationTrial(
             station,
             task=TASK,
             episode=episode,
@@ -78,7 +79,7 @@ def play(station: OpenStation, tmp_path: Path) -> Callable[..., tuple[Attempt, S
             open_session=lambda: session,
             folder=tmp_path,
         )
-        return trial.play(), session
+        return played.play(), session
 
     return play_trial
 
@@ -101,7 +102,16 @@ def test_peg_that_goes_to_its_hole_passes_the_push_test_and_is_lifted(play: Play
 
 
 @pytest.mark.slow
-def test_start_over_the_hole_is_not_blocked(play: Play) -> None:
+def test_next_start_of_the_list_takes_the_place_of_one_over_the_hole(play: Play) -> None:
+    attempt, session = play(nowhere, (0.0, 0.0, 0.0))
+    assert attempt.start == next(each.offset for each in TASK.episodes[1:] if each.shape == "cuboid")
+    assert attempt.encoders[0][:2] == pytest.approx(attempt.start[:2], abs=0.01)
+    assert len(session.seen) == len(attempt.actions) > 0
+
+
+@pytest.mark.slow
+def test_starts_over_the_hole_are_not_blocked(play: Play, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trial, "_STARTS", 1)
     attempt, session = play(nowhere, (0.0, 0.0, 0.0))
     assert attempt.outcome is TrialOutcome.NOT_BLOCKED
     assert session.seen == []

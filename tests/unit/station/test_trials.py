@@ -53,7 +53,7 @@ class Laboratory:
     def trial(self, *_: object, **__: object) -> Any:
         outcome = self.outcomes.pop(0)
         assert outcome is not None
-        attempt = Attempt(outcome=outcome, reason=str(outcome), stopped_by_force=self.by_force)
+        attempt = Attempt(start=EPISODE.offset, outcome=outcome, reason=str(outcome), stopped_by_force=self.by_force)
         return SimpleNamespace(play=lambda: attempt)
 
     def play(self, monkeypatch: pytest.MonkeyPatch) -> list[TrialOutcome]:
@@ -95,7 +95,9 @@ def test_a_policy_that_the_limit_of_force_stops_twice_has_a_result(monkeypatch: 
 
 
 def test_trial_without_an_attempt_that_counts_is_no_result() -> None:
-    records = [TrialRecord.from_attempts(EPISODE, [Attempt(outcome=outcome)]) for outcome in (S, T)]
+    records = [
+        TrialRecord.from_attempts(EPISODE, [Attempt(start=EPISODE.offset, outcome=outcome)]) for outcome in (S, T)
+    ]
     names = {"station": "lab", "submission": "s", "submission_digest": "d", "track": "t", "task": "p"}
     report = RehearsalReport.from_trials(records, **names)
     assert (report.without_result, report.rate and report.rate.episodes) == (1, 1)
@@ -111,7 +113,11 @@ def test_record_of_a_trial_has_what_was_measured_and_nothing_where_the_motion_wa
     poses = [Pose(1.0, 2.0, -40.0, 3.0), Pose(0.5, 1.5, -40.2, 2.0)]
     actions = [np.ones(3, np.float32), np.zeros(3, np.float32)]
     attempt = Attempt(
-        outcome=TrialOutcome.TACTILE, actions=actions, encoders=poses, movement_px=[(0.1, 0.2), (3.0, 4.0)]
+        start=EPISODE.offset,
+        outcome=TrialOutcome.TACTILE,
+        actions=actions,
+        encoders=poses,
+        movement_px=[(0.1, 0.2), (3.0, 4.0)],
     )
     record = make_record(TASK, EPISODE, attempt, LAB)
     assert (record.outcome, record.env_steps, record.initial_offset) == (EpisodeOutcome.TACTILE, 2, (1.0, 2.0, 3.0))
@@ -122,7 +128,9 @@ def test_record_of_a_trial_has_what_was_measured_and_nothing_where_the_motion_wa
 
 def test_failure_of_a_policy_is_in_its_record() -> None:
     failed = PolicyFailed(VerdictCode.NON_FINITE_ACTION, "The action holds NaN.")
-    record = make_record(TASK, EPISODE, Attempt(outcome=TrialOutcome.POLICY_FAILED, failure=failed), LAB)
+    record = make_record(
+        TASK, EPISODE, Attempt(start=EPISODE.offset, outcome=TrialOutcome.POLICY_FAILED, failure=failed), LAB
+    )
     assert record.failure is not None
     assert (record.failure.code, record.env_steps) == (VerdictCode.NON_FINITE_ACTION, 0)
 
@@ -140,7 +148,7 @@ class Attempts:
     def play(self, _: object, episode: Episode, *__: object, was_stopped_by_force: bool) -> list[Attempt]:
         self.played.append(episode.number)
         self.was_stopped.append(was_stopped_by_force)
-        return [Attempt(outcome=self.outcomes.pop(0), stopped_by_force=self.by_force)]
+        return [Attempt(start=EPISODE.offset, outcome=self.outcomes.pop(0), stopped_by_force=self.by_force)]
 
 
 def running(
