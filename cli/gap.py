@@ -99,10 +99,11 @@ def _measure_shares(
 
 
 def _measure_touch(reports: list[RehearsalReport], identified: Path | None) -> dict[str, TouchGap]:
-    """Return the gap of markers and forces to our simulation, and to that with identified settings."""
+    """Return the gap of markers and forces of pegs to our simulation, and to that with identified settings."""
     if not any(trial.attempts[-1].regions_px for report in reports for trial in report.trials):
         return {}
     from vitac.evaluator.strict_model import read_yaml
+    from vitac.station.description import StationTask
     from vitac.station.identification.station import IdentifiedStation
     from vitac.station.touch_gap import measure_touch_gap
     from vitac.station.twin.hidden import PUBLIC_SETTINGS
@@ -110,7 +111,8 @@ def _measure_touch(reports: list[RehearsalReport], identified: Path | None) -> d
     settings = {"simulation": PUBLIC_SETTINGS}
     if identified:
         settings["identified simulation"] = read_yaml(IdentifiedStation, identified).settings
-    return {name: measure_touch_gap(reports, hidden) for name, hidden in settings.items()}
+    pegs = [report for report in reports if report.task == StationTask.PEG]
+    return {name: measure_touch_gap(pegs, hidden) for name, hidden in settings.items()} if pegs else {}
 
 
 def _print_touch(touch: dict[str, TouchGap]) -> None:
@@ -137,7 +139,7 @@ def _played_twice(simulated: Path, tried: Path, report: RehearsalReport, starts:
     ends = {}
     for trial in report.trials:
         end, start = simulation.get(trial.episode), (trial.shape, tuple(trial.offset))
-        if end is None or not trial.outcome.counts:
+        if end is None or not trial.outcome.counts or trial.start != trial.offset:
             continue
         known = starts.setdefault(trial.episode, start)
         for where, other in ((simulated, end.start), ("another policy's trials", known)):

@@ -36,7 +36,13 @@ def rehearse_submission(
     from vitac.evaluator.submission.manifest import load_manifest
     from vitac.evaluator.submission.sources import staged, submission_digest
     from vitac.evaluator.tracks import load_track
-    from vitac.station.rehearsal import RehearsalReport, find_station_task, found_station, rehearse
+    from vitac.station.rehearsal import (
+        RehearsalReport,
+        find_procedure,
+        find_station_task,
+        found_station,
+        rehearse,
+    )
     from vitac.station.trials import TrialPlayer
 
     require_extra("station", *STATION_MODULES, user="A station")
@@ -45,9 +51,8 @@ def rehearse_submission(
     with staged(submission) as staged_folder:
         manifest = load_manifest(staged_folder)
         track = load_track(manifest.track)
-        task = find_station_task(track)
         with (
-            found_station(named, task) as description,
+            found_station(named, find_station_task(manifest.tasks)) as description,
             TrialPlayer(
                 description=description,
                 folder=folder,
@@ -56,17 +61,18 @@ def rehearse_submission(
             ) as player,
             serving_console(player) as console,
         ):
+            procedure = find_procedure(description)
             typer.echo(f"Console: {console}", err=True)
             trials = rehearse(player, staged_folder, track, episodes=episodes, on_trial=print_trial)
         report = RehearsalReport.from_trials(
             trials,
             twin=description.twin,
-            hole=tuple(description.procedure.hole.model_dump().values()) if description.procedure else None,
+            hole=tuple(procedure.hole.model_dump().values()),
             station=description.name,
             submission=manifest.name,
             submission_digest=submission_digest(submission),
             track=manifest.track,
-            task=task,
+            task=procedure.task,
         )
     if json:
         json.write_text(report.model_dump_json(indent=1) + "\n", encoding="utf-8")

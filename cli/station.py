@@ -17,8 +17,11 @@ _DATABASE_S = 60.0
 """Longest wait for a database that is away when the agent starts."""
 
 if TYPE_CHECKING:
-    from vitac.envs.geometry.pegs import PegShape
     from vitac.station.twin.grasp import Mounted
+
+MountedShape = Annotated[
+    str, typer.Option(help="Peg: cuboid, trapezoid or concave1; or key: key1, key2, key3 or key4.")
+]
 
 app = typer.Typer(no_args_is_help=True)
 
@@ -66,7 +69,7 @@ def twin(
         typer.Option(help="File of `vitac station identify`, in place of a secret: that station's twin."),
     ] = None,
     faults: Annotated[Path | None, typer.Option(help="Script of what breaks, and when (YAML).")] = None,
-    shape: Annotated[str, typer.Option(help="Peg and hole: cuboid, trapezoid or concave1.")] = "cuboid",
+    shape: MountedShape = "cuboid",
     fusion: Annotated[
         bool,
         typer.Option("--fusion", help="Mount the base with two holes and an RGB-D camera; shape: hexagon or cuboid."),
@@ -108,23 +111,18 @@ def twin(
 
 
 def _find_mounted(shape: str, *, fusion: bool) -> "Mounted":
+    from vitac.envs.geometry.keys_and_locks import KeyShape
+    from vitac.envs.geometry.pegs import PegShape
     from vitac.station.description import StationTask
     from vitac.station.trials import HOLES_Y_MM
     from vitac.station.twin.grasp import Mounted
 
+    tasks = dict.fromkeys(HOLES_Y_MM, StationTask.FUSION)
     if not fusion:
-        return Mounted(shape=_read_shape(shape))
-    if shape not in HOLES_Y_MM:
-        raise typer.BadParameter(f"expected one of {', '.join(HOLES_Y_MM)}, got {shape!r}.", param_hint="--shape")
-    return Mounted(StationTask.FUSION, shape)
-
-
-def _read_shape(name: str) -> "PegShape":
-    from vitac.envs.geometry.pegs import PegShape
-
-    if name not in set(PegShape):
-        raise typer.BadParameter(f"expected one of {', '.join(PegShape)}, got {name!r}.", param_hint="--shape")
-    return PegShape(name)
+        tasks = {**dict.fromkeys(PegShape, StationTask.PEG), **dict.fromkeys(KeyShape, StationTask.LOCK)}
+    if shape not in tasks:
+        raise typer.BadParameter(f"expected one of {', '.join(tasks)}, got {shape!r}.", param_hint="--shape")
+    return Mounted(tasks[shape], shape)
 
 
 @app.command("identify")
@@ -134,14 +132,17 @@ def identify(
 ) -> None:
     """Touch plate and hole, and estimate frictions, gel, cameras and places, with 95 % intervals."""
     import yaml
-    from vitac.station.description import read_description
+    from vitac.station.description import StationTask, read_description
     from vitac.station.eyes import open_station
     from vitac.station.identification.station import identify
-    from vitac.station.rehearsal import refuse_wrong_devices
+    from vitac.station.rehearsal import StationRefused, find_procedure, refuse_wrong_devices
 
     if out.exists():
         raise typer.BadParameter(f"{out} exists; name a new file.", param_hint="--out")
     description = read_description(file)
+    mounted = find_procedure(description).task
+    if mounted is not StationTask.PEG:
+        raise StationRefused(f"Probes need {StationTask.PEG} mounted, got {mounted}.")
     refuse_wrong_devices(description)
     with open_station(description) as station:
         settings = identify(station, lambda sentence: print(sentence, flush=True))
@@ -160,7 +161,7 @@ def identify(
 
 @app.command("track")
 def track(
-    shape: Annotated[str, typer.Option(help="Peg and hole: cuboid, trapezoid or concave1.")] = "cuboid",
+    shape: MountedShape = "cuboid",
     repeats: Annotated[int, typer.Option(min=1, help="How often every start is played.")] = 5,
     fusion: Annotated[bool, typer.Option("--fusion", help="Of the fusion task; shape: hexagon or cuboid.")] = False,
 ) -> None:

@@ -95,7 +95,11 @@ class StationShard:
         Raises:
             TrialNotPlayed: the station stopped, or a trial could not be played on it.
         """
-        order, shape = self._order, self._mounted_shape()
+        order, mounted = self._order, self._player.description.procedure
+        task = self._task.station_of or self._task.name
+        if mounted is not None and mounted.task != task:
+            raise TrialNotPlayed(f"The trials are of {task}; the station has {mounted.task} mounted.")
+        shape = mounted.shape if mounted else "nothing"
         reading = make_reading(self._task, load_manifest(order.submission).observation_keys)
         self.packages = dict(installed_packages(self._track.packages).versions)
         with load_in_sandbox(order.submission, order.limits, self._track.packages) as session:
@@ -130,10 +134,6 @@ class StationShard:
         end = ShardEnd.BROKEN if is_broken(self._failures) else ShardEnd.COMPLETE
         manifest = make_manifest(self._track, self._task, _Devices())
         return ShardResult(index=self._order.shard, end=end, manifest=manifest, isolation=self._isolation)
-
-    def _mounted_shape(self) -> str:
-        procedure = self._player.description.procedure
-        return procedure.shape if procedure else "nothing"
 
     def _episodes(self) -> list[Episode]:
         shard = next(each for each in cut(self._task, self._order.episodes) if each.index == self._order.shard)

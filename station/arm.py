@@ -6,12 +6,12 @@ from typing import Final
 
 from vitac.errors import VitacError
 
-from .description import StagePose
 from .devices.gripper import Grasp, GripperStatus
 from .devices.stage import DeviceFault, Pose
 from .eyes import OpenStation, SensorReading
 
 Offset = tuple[float, float, float]
+Beside = tuple[float, float]
 
 _SETTLE_S: Final = 0.1
 _GRIP_S: Final = 5.0
@@ -100,13 +100,14 @@ class Arm:
             raise DeviceFault("The gripper reports that its fingers move, though it was not asked to. Free them.")
         raise NoPeg("The gripper has lost its peg. Put it back into the garage.")
 
-    def fetch(self, grip_force: int | None = None) -> None:
+    def fetch(self, grip_force: int | None = None, beside_mm: Beside = (0.0, 0.0)) -> None:
         """Take the peg from its garage; a peg that the gripper holds is put there first.
 
         Args:
             grip_force: other than the procedure's; the gels then may feel less than a contact.
+            beside_mm: where the gripper closes on it, along the stage's x and z from the place in the file.
         """
-        self.open_in_garage()
+        self.open_in_garage(beside_mm)
         self._station.eyes.start_again()
         self._grip(self._limits.gripper.position[1], grip_force)
         sight = self._wait(_SETTLE_S)
@@ -114,19 +115,27 @@ class Arm:
         if not (self.holds_peg() and is_felt):
             self._grip(self._procedure.open_position)
             raise NoPeg("The gripper closed on nothing in the garage. Put the peg into it.")
+        self._station.held_beside_mm = beside_mm
         self.lift(self._procedure.safe_z_mm)
 
-    def open_in_garage(self) -> None:
-        """Open the gripper in the garage, where a peg that it holds stays."""
-        garage, safe_mm = self._procedure.garage, self._procedure.safe_z_mm
+    def open_in_garage(self, beside_mm: Beside = (0.0, 0.0)) -> None:
+        """Open the gripper in the garage, where a peg that it holds stays as it was, and go beside its place there."""
+        safe_mm = self._procedure.safe_z_mm
         self.lift(safe_mm)
-        if not self.holds_peg():
+        is_held = self.holds_peg()
+        if not is_held:
             self._grip(self._procedure.open_position)
-        self.go(_pose(garage, safe_mm))
-        self.go(_pose(garage, garage.z_mm))
-        if self.holds_peg():
+        there = self._garage(self._station.held_beside_mm if is_held else beside_mm)
+        self.go(there._replace(z_mm=safe_mm))
+        self.go(there)
+        if is_held:
             self._grip(self._procedure.open_position)
+            self.go(self._garage(beside_mm))
         self._wait(_SETTLE_S)
+
+    def _garage(self, beside_mm: Beside) -> Pose:
+        garage, (x_mm, z_mm) = self._procedure.garage, beside_mm
+        return Pose(garage.x_mm + x_mm, garage.y_mm, garage.z_mm + z_mm, garage.rotation_deg)
 
     def _wait(self, wait_s: float) -> SensorReading:
         """Wait, longer by the latency of the pictures."""
@@ -137,7 +146,3 @@ class Arm:
         force = self._procedure.grip_force if force is None else force
         self._guard.grip(position, speed=self._limits.gripper.speed, force=force)
         self._station.gripper.wait(timeout_s=_GRIP_S)
-
-
-def _pose(place: StagePose, z_mm: float) -> Pose:
-    return Pose(place.x_mm, place.y_mm, z_mm, place.rotation_deg)

@@ -1,5 +1,6 @@
 """Checks that the devices of a station are those of its file, and fit its limits. Moves nothing."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
@@ -15,11 +16,23 @@ from .description import (
     Procedure,
     StationDescription,
     StationLimits,
+    StationTask,
 )
 from .description import TactileCameraSettings as TactileCameraDescription
 from .devices import cameras, force_torque, gripper, stage
 from .devices.stage import DeviceInUse, DeviceNotFound, Identity, Pose
-from .guard import CONTROL_PERIOD_S, LARGEST_RADIUS_MM, LARGEST_THETA_DEG, LimitPassed, check_grip, check_target
+from .guard import (
+    CONTROL_PERIOD_S,
+    KEY_PULL_MM,
+    KEY_X_RANGE_MM,
+    KEY_Z_RANGE_MM,
+    LARGEST_BESIDE_MM,
+    LARGEST_RADIUS_MM,
+    LARGEST_THETA_DEG,
+    LimitPassed,
+    check_grip,
+    check_target,
+)
 from .perception.markers import DROPPED_PICTURES, cut_picture, find_markers
 
 _BRAKING_S: Final = CONTROL_PERIOD_S / 2
@@ -210,8 +223,16 @@ def check_procedure(procedure: Procedure, limits: StationLimits) -> Iterator[Pro
 
 
 def _extreme_poses(procedure: Procedure) -> Iterator[tuple[str, Pose]]:
-    """Yield the outermost poses of a trial of the peg, each with the name of its place."""
+    """Yield the outermost poses of a trial of the peg or the lock, each with the name of its place."""
     hole, garage, safe_mm = procedure.hole, procedure.garage, procedure.safe_z_mm
+    if procedure.task is StationTask.LOCK:
+        (nearest, farthest), beside, angle = KEY_X_RANGE_MM, LARGEST_BESIDE_MM, math.radians(hole.rotation_deg)
+        for out_mm, up_mm in product((nearest - beside, farthest + KEY_PULL_MM + beside), KEY_Z_RANGE_MM):
+            x_mm, y_mm = hole.x_mm + math.cos(angle) * out_mm, hole.y_mm + math.sin(angle) * out_mm
+            yield "lock", Pose(x_mm, y_mm, hole.z_mm + up_mm + math.copysign(beside, up_mm), hole.rotation_deg)
+        for sign, z_mm in product((-1.0, 1.0), (garage.z_mm, safe_mm)):
+            yield "garage", Pose(garage.x_mm + sign * beside, garage.y_mm, z_mm + sign * beside, garage.rotation_deg)
+        return
     lowest_mm = hole.z_mm + procedure.start_mm - procedure.descent_mm - procedure.push_mm
     for z_mm, sign in product((lowest_mm, hole.z_mm + procedure.lateral_mm, safe_mm), (-1.0, 1.0)):
         far_mm, turn_deg = sign * LARGEST_RADIUS_MM, sign * LARGEST_THETA_DEG

@@ -17,6 +17,7 @@ class StationTask(StrEnum):
     """A simulated task that stations play, by its name."""
 
     PEG = "peg-insertion"
+    LOCK = "lock-opening"
     FUSION = "fusion-insertion"
 
 
@@ -214,12 +215,15 @@ class Release(StrEnum):
 class Procedure(StrictModel):
     """Where trials take place, and how; the defaults are the challenge's."""
 
+    task: StationTask = StationTask.PEG
+    """That the mounted parts are for."""
     shape: Word
-    """Peg and hole that are mounted."""
+    """Peg and hole, or key and lock, that are mounted."""
     hole: StagePose
-    """Where a peg stands on the plate, centred over its hole and turned with it."""
+    """Where a peg stands on the plate, centred over its hole and turned with it; where the gripper holds a key at the
+    middle of its handle that is as deep in its lock as any trial begins."""
     garage: StagePose
-    """Where the gripper closes on the peg."""
+    """Where the gripper closes on the peg, or on the key in front of its lock."""
     safe_z_mm: float
     """Height at which the stage goes from garage to hole."""
     lateral_mm: PositiveFloat = 5.0
@@ -303,7 +307,11 @@ def read_description(path: Path) -> StationDescription:
     return read_yaml(StationDescription, path)
 
 
-_NAMES: Final = {StationTask.PEG: ("track_1", "station"), StationTask.FUSION: ("track_2", "station_fusion")}
+_NAMES: Final = {
+    StationTask.PEG: ("track_1", "station"),
+    StationTask.LOCK: ("track_1", "station_lock"),
+    StationTask.FUSION: ("track_2", "station_fusion"),
+}
 """Of the simulated track, and of that of stations."""
 
 
@@ -313,7 +321,7 @@ def make_station_track(
     """Return the content of a track file: public starts of a shape, each so often, one trial in a shard.
 
     Args:
-        shape: of the peg that is mounted.
+        shape: of the peg or key that is mounted.
         repeats: of each start.
         starts: how many of them, the first ones; all if None.
         task: that is played.

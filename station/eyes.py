@@ -15,11 +15,11 @@ from typing import Final, NamedTuple, Self
 
 from vitac.errors import VitacError
 
-from .description import Procedure, Release, StationDescription
+from .description import Procedure, Release, StationDescription, StationTask
 from .devices.cameras import AnyDepthCamera, GelSightCamera, Picture, open_depth_camera
 from .devices.force_torque import ForceTorqueSensor
 from .devices.gripper import HandE
-from .devices.stage import DeviceFault, GrblState, LinearStage
+from .devices.stage import DeviceFault, GrblState, LinearStage, Pose
 from .guard import Guard, StopCause
 from .overview import Overview
 from .perception.markers import DROPPED_PICTURES, AssignedMarkerTracker, MarkerFlow, MarkerTracker
@@ -254,6 +254,7 @@ class OpenStation:
     Attributes:
         procedure: how trials are played on it.
         thresholds_px: movement of both gels that is more than noise, since the last grasp; None before it.
+        held_beside_mm: where the gripper closed, along the stage's x and z from the garage.
     """
 
     description: StationDescription
@@ -265,6 +266,7 @@ class OpenStation:
     depth_camera: AnyDepthCamera | None = None
     overview: Overview | None = None
     thresholds_px: tuple[float, float] | None = None
+    held_beside_mm: tuple[float, float] = (0.0, 0.0)
 
 
 @contextmanager
@@ -309,17 +311,22 @@ def open_station(description: StationDescription) -> Iterator[OpenStation]:
         )
 
 
-def _lift(stage: LinearStage, description: StationDescription, procedure: Procedure) -> None:
-    """Go straight up with what the gripper holds, where nobody is asked: pressed onto something it may pass a limit.
+def _free(stage: LinearStage, description: StationDescription, procedure: Procedure) -> None:
+    """Take away what the gripper holds, where nobody is asked: pressed onto something it may pass a limit.
 
     The guard would then stop the station each time it is opened, and the trial of a killed agent would never be played.
+    A peg goes straight up; a key down out of the slots, and out of its lock to the garage in front of it.
     """
-    pose = stage.status().pose
+    pose, hole, garage = stage.status().pose, procedure.hole, procedure.garage
     if procedure.release is not Release.AUTOMATIC or pose.z_mm >= procedure.safe_z_mm:
         return
-    stage.start_move(pose._replace(z_mm=procedure.safe_z_mm), feed=60 * description.limits.speed_mm_s)
-    while stage.status().is_moving:
-        sleep(_LOOK_S)
+    way = [pose._replace(z_mm=procedure.safe_z_mm)]
+    if procedure.task is StationTask.LOCK:
+        way = [pose._replace(z_mm=hole.z_mm), Pose(garage.x_mm, garage.y_mm, hole.z_mm, pose.rotation_deg)]
+    for target in way:
+        stage.start_move(target, feed=60 * description.limits.speed_mm_s)
+        while stage.status().is_moving:
+            sleep(_LOOK_S)
 
 
 def _make_ready(stage: LinearStage, gripper: HandE, box: ForceTorqueSensor, description: StationDescription) -> None:
@@ -331,7 +338,7 @@ def _make_ready(stage: LinearStage, gripper: HandE, box: ForceTorqueSensor, desc
     gripper.activate()
     procedure = description.procedure
     if procedure is not None and gripper.status().position > procedure.open_position:
-        _lift(stage, description, procedure)
+        _free(stage, description, procedure)
     elif procedure is not None:
         box.stop()
         box.zero()

@@ -41,7 +41,7 @@ _COUNTED: Final = frozenset(
     }
 )
 _SENTENCES: Final = {
-    TrialOutcome.SUCCESS: "The peg is in its hole, as gels and encoders say.",
+    TrialOutcome.SUCCESS: "The peg is in its hole, or the lock is open, as gels and encoders say.",
     TrialOutcome.STEPS: "All env steps were used up.",
     TrialOutcome.TACTILE: "A marker moved beyond its limit, or that of force or torque stopped the policy twice.",
     TrialOutcome.ERROR: "An action led out of the range of offsets; nothing moved.",

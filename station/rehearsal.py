@@ -3,7 +3,7 @@
 Called by `vitac evaluate --station`. Of all attempts of a trial at most the last one counts.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
@@ -19,10 +19,10 @@ from vitac.evaluator.scoring.score import Rate, rate_by_start
 from vitac.evaluator.shards.policy import load_in_sandbox
 from vitac.evaluator.strict_model import StrictModel, Word, validate
 from vitac.evaluator.submission.manifest import load_manifest
-from vitac.evaluator.tracks import Episode, Task, Track
+from vitac.evaluator.tracks import Episode, Track
 
 from .check import check_station
-from .description import StationDescription, StationTask, TwinMark, read_description
+from .description import Procedure, StationDescription, StationTask, TwinMark, read_description
 from .outcome import TrialOutcome
 from .trial import Attempt
 from .trials import TrialPlayer
@@ -48,6 +48,8 @@ def _rounded(values: NDArray[np.float64]) -> Any:
 class AttemptRecord(StrictModel):
     """One attempt at a trial; `encoders` and `movement_px` have an entry after the start and after each env step."""
 
+    start: tuple[float, ...] = ()
+    """Where the policy began, where that is not the episode's own start: this was not blocked."""
     outcome: TrialOutcome
     reason: str = ""
     actions: ActionSequence
@@ -65,9 +67,10 @@ class AttemptRecord(StrictModel):
     output: str = ""
 
     @classmethod
-    def from_attempt(cls, attempt: Attempt) -> Self:
+    def from_attempt(cls, episode: Episode, attempt: Attempt) -> Self:
         """Return the record of an attempt."""
         return cls(
+            start=() if attempt.start == episode.offset else attempt.start,
             outcome=attempt.outcome,
             reason=attempt.reason,
             actions=ActionSequence.from_array(pack_actions(attempt)),
@@ -94,14 +97,19 @@ class TrialRecord(StrictModel):
         """How the last attempt ended."""
         return self.attempts[-1].outcome
 
+    @property
+    def start(self) -> tuple[float, ...]:
+        """Where the policy began in the last attempt."""
+        return self.attempts[-1].start or self.offset
+
     @classmethod
     def from_attempts(cls, episode: Episode, attempts: list[Attempt]) -> Self:
         """Return the record of a trial."""
         return cls(
             episode=episode.number,
             shape=episode.shape,
-            offset=attempts[-1].start,
-            attempts=tuple(AttemptRecord.from_attempt(each) for each in attempts),
+            offset=episode.offset,
+            attempts=tuple(AttemptRecord.from_attempt(episode, each) for each in attempts),
         )
 
 
@@ -135,7 +143,7 @@ class RehearsalReport(StrictModel):
     def from_trials(cls, trials: Sequence[TrialRecord], **names: Any) -> Self:
         """Return the result of trials."""
         ends = [
-            ((trial.shape, trial.offset), trial.outcome is TrialOutcome.SUCCESS)
+            ((trial.shape, trial.start), trial.outcome is TrialOutcome.SUCCESS)
             for trial in trials
             if trial.outcome.counts
         ]
@@ -172,11 +180,14 @@ def refuse_wrong_devices(description: StationDescription) -> None:
 
 
 def _start_twin(task: StationTask) -> "AbstractContextManager[RunningTwin]":
+    from vitac.envs.geometry.keys_and_locks import KeyShape
+
     from .twin.grasp import Mounted
     from .twin.hidden import PUBLIC_SETTINGS
     from .twin.laboratory import twin_process
 
-    return twin_process(PUBLIC_SETTINGS, mounted=Mounted(task=task))
+    mounted = Mounted(task, KeyShape.KEY1) if task is StationTask.LOCK else Mounted(task)
+    return twin_process(PUBLIC_SETTINGS, mounted=mounted)
 
 
 def rehearse(
@@ -199,17 +210,18 @@ def rehearse(
         on_trial: gets each trial as soon as it is over.
 
     Raises:
-        StationRefused: there is nothing to play with the shape that is mounted.
+        StationRefused: there is nothing to play with the parts that are mounted.
         PolicyFailed: the policy cannot be loaded.
     """
-    task = _find_task(track)
-    procedure = player.description.procedure
-    shape = procedure.shape if procedure else ""
+    manifest, procedure = load_manifest(submission_dir), find_procedure(player.description)
+    if procedure.task not in manifest.tasks:
+        got = " and ".join(manifest.tasks)
+        raise StationRefused(f"Expected a submission to {procedure.task}, as `procedure.task` says, got one to {got}.")
+    task, shape = track.tasks[procedure.task], procedure.shape
     wanted = set(episodes) if episodes else {each.number for each in task.episodes}
     chosen = [each for each in task.episodes if each.shape == shape and each.number in wanted]
     if not chosen:
         raise StationRefused(f"Expected episodes with the {shape}, which is mounted, got none. Choose others.")
-    manifest = load_manifest(submission_dir)
     reading = make_reading(task, manifest.observation_keys)
     trials = []
     with load_in_sandbox(submission_dir, limits or Limits(), track.packages) as session:
@@ -220,19 +232,26 @@ def rehearse(
     return trials
 
 
-def _find_task(track: Track) -> Task:
-    return track.tasks[find_station_task(track)]
+def find_procedure(description: StationDescription) -> Procedure:
+    """Return how trials are played on a station.
+
+    Raises:
+        StationRefused: its file has none.
+    """
+    if description.procedure is None:
+        raise StationRefused(f"The file of {description.name} has no `procedure`: add where hole and garage are.")
+    return description.procedure
 
 
-def find_station_task(track: Track) -> StationTask:
-    """Return which task of a track stations play.
+def find_station_task(tasks: Collection[str]) -> StationTask:
+    """Return the first of a submission's tasks that stations play.
 
     Raises:
         StationRefused: none.
     """
     for task in StationTask:
-        if task in track.tasks:
+        if task in tasks:
             return task
     raise StationRefused(
-        f"A station plays {' and '.join(StationTask)}; {track.name} has neither. Choose a submission to another track."
+        f"A station plays {', '.join(StationTask)}; the submission plays {', '.join(tasks)}. Choose another one."
     )

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 from time import monotonic
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,8 +42,6 @@ _LARGE_MOVEMENT_PX: Final = 1.5
 _PUSH_FACTOR: Final = 5.0
 _SUCCESS_DEPTH_MM: Final = 0.35
 _PAUSE_S: Final = 0.5
-_CHECKLIST: Final = ("The peg is in its garage.", "The gels are clean.", "Nobody is in reach.")
-_GRASP_CHECKLIST: Final = ("The peg stands straight between the gels.", "It touches nothing else.")
 
 Pair = tuple[float, float]
 
@@ -100,6 +98,9 @@ class Attempt:
 class StationTrial:
     """Attempts at one episode of the peg task.
 
+    Attributes:
+        part: what the gripper holds, in one word.
+
     Args:
         station: open and safe.
         task: what is played.
@@ -111,6 +112,10 @@ class StationTrial:
         recorder: of the trial's video.
         operator: who may step in.
     """
+
+    part: ClassVar = "peg"
+    _motion_axes: ClassVar[tuple[int, ...]] = (0, 1, 3, 2)
+    """Of the encoders' x, y, z and rotation, in the order of `relative_motion`."""
 
     def __init__(
         self,
@@ -160,15 +165,16 @@ class StationTrial:
         findings = check_ready(self._station, self._folder)
         if operator.asks:
             ready = "The station is ready for the trial. Accepted, it begins to move."
-            self._ask(ready, _CHECKLIST, measured=[f"{each.name}: {each.value}" for each in findings])
-        operator.wait_while_paused("The peg is fetched, grasped and looked at.")
+            checklist = (f"The {self.part} is in its garage.", "The gels are clean.", "Nobody is in reach.")
+            self._ask(ready, checklist, measured=[f"{each.name}: {each.value}" for each in findings])
+        operator.wait_while_paused(f"The {self.part} is fetched, grasped and looked at.")
         self._grasp()
         while operator.asks and self._ask_about_grasp() is OperatorDecision.REGRASP:
             began = monotonic()
             self._station.thresholds_px = None
             self._grasp()
             operator.note_help(HelpKind.REGRASP, began)
-        operator.wait_while_paused("The peg comes down until a gel feels the plate.")
+        operator.wait_while_paused(f"The {self.part} goes to the start.")
         self._station.guard.forces_n.clear()
         start_mm = self._approach()
         with self._open_session().episode(
@@ -195,8 +201,9 @@ class StationTrial:
         return answer
 
     def _ask_about_grasp(self) -> OperatorDecision:
-        held = "The peg hangs in free air. Accepted, the policy begins."
-        return self._ask(held, _GRASP_CHECKLIST, OperatorDecision.REGRASP)
+        held = f"The {self.part} hangs in free air. Accepted, the policy begins."
+        checklist = (f"The {self.part} stands straight between the gels.", "It touches nothing else.")
+        return self._ask(held, checklist, OperatorDecision.REGRASP)
 
     def _summarize_forces(self) -> ContactForces | None:
         """Return what the force/torque sensor measured since the descent; None where no env step was played."""
@@ -247,10 +254,14 @@ class StationTrial:
             station.thresholds_px = None
         else:
             raise NoPeg(f"The peg still moves between the gels after {_REGRASPS} grasps. Clean gels and peg.")
-        self._attempt.thresholds_px = station.thresholds_px
-        station.eyes.start_again()
-        arm.settle(_PAUSE_S)
-        check_held(station)
+        self._take_references(station.thresholds_px)
+
+    def _take_references(self, thresholds_px: Pair) -> None:
+        """Look at what is held in free air: gels and forces are compared with that afterwards."""
+        self._attempt.thresholds_px = thresholds_px
+        self._station.eyes.start_again()
+        self._arm.settle(_PAUSE_S)
+        check_held(self._station)
         self._free_wrench = self._wrench()
 
     def _go_beside(self) -> None:
@@ -329,10 +340,9 @@ class StationTrial:
 
     def _observe(self, sight: SensorReading) -> dict[str, NDArray[Any]]:
         """Return what the policy reads: markers as in simulation, motion from the stage's encoders."""
-        first, now = np.array(self._attempt.encoders[0]), np.array(self._attempt.encoders[-1])
-        x_mm, y_mm, z_mm, rotation_deg = (now - first).tolist()
+        motion = np.subtract(self._attempt.encoders[-1], self._attempt.encoders[0])
         values: dict[str, NDArray[Any]] = {
-            "relative_motion": np.array((x_mm, y_mm, rotation_deg, z_mm), dtype=np.float32),
+            "relative_motion": motion[list(self._motion_axes)].astype(np.float32),
             "marker_flow": marker_flow(sight.left, sight.right, self._generator),
         }
         values |= self._see_scene()
@@ -363,16 +373,21 @@ class StationTrial:
 
     def _passes_push_test(self, before: SensorReading) -> bool:
         """Push the peg down; return to the height before where a gel feels that it is stuck."""
-        arm, procedure, start = self._arm, self._station.procedure, self._arm.pose()
+        start = self._arm.pose()
+        is_stuck = self._feels_resistance(before, start._replace(z_mm=start.z_mm - self._station.procedure.push_mm))
+        if is_stuck:
+            self._arm.go(start)
+        return not is_stuck
+
+    def _feels_resistance(self, before: SensorReading, target: Pose) -> bool:
+        """Move until a gel feels that the part is stuck, and return whether it was."""
         limits_px = [_PUSH_FACTOR * max(value, _THRESHOLD_PX) for value in before.movement_px()]
-        is_stuck = arm.go_until(
-            start._replace(z_mm=start.z_mm - procedure.push_mm),
-            procedure.push_mm_s,
+        felt = self._arm.go_until(
+            target,
+            self._station.procedure.push_mm_s,
             lambda seen, _: any(now > limit for now, limit in zip(seen.movement_px(), limits_px, strict=True)),
         )
-        if is_stuck:
-            arm.go(start)
-        return not is_stuck
+        return felt is not None
 
     def _exceeds(self, sight: SensorReading, factor: float) -> bool:
         thresholds_px = self._station.thresholds_px or (_THRESHOLD_PX, _THRESHOLD_PX)
@@ -391,21 +406,26 @@ class StationTrial:
         return next((outcome for kind, outcome in _OUTCOMES.items() if isinstance(error, kind)), TrialOutcome.STOPPED)
 
     def _retreat(self) -> None:
-        """Lift the peg off the plate unless the station is stopped for another reason than over-force."""
+        """Take the part away unless the station is stopped for another reason than over-force."""
         guard, eyes, attempt = self._station.guard, self._station.eyes, self._attempt
         is_over_force = attempt.outcome is TrialOutcome.TACTILE
         eyes.stops_on_movement = not is_over_force  # the markers have to move back
         try:
             if is_over_force:
                 guard.release()
-                self._station.thresholds_px = None  # the peg is to be grasped again
-            if guard.reason is None and attempt.encoders:
-                self._arm.lift(self._arm.height_mm(self._station.procedure.lateral_mm))
+                self._station.thresholds_px = None  # the part is to be grasped again
+            if guard.reason is None:
+                self._take_away()
             if is_over_force:
                 eyes.start_again()
         except (StationStopped, LimitPassed, DeviceFault) as error:
-            attempt.reason = f"{attempt.reason} The peg was not lifted: {error}".strip()
+            attempt.reason = f"{attempt.reason} The {self.part} was not taken away: {error}".strip()
         eyes.stops_on_movement = True
+
+    def _take_away(self) -> None:
+        """Lift the peg off the plate."""
+        if self._attempt.encoders:
+            self._arm.lift(self._arm.height_mm(self._station.procedure.lateral_mm))
 
 
 _OUTCOMES: Final = {

@@ -22,6 +22,7 @@ from .arm import Offset
 from .description import StationDescription, StationTask
 from .devices.stage import DeviceFault, DeviceNotFound
 from .eyes import OpenStation, SensorReading, open_station
+from .lock_trial import LockTrial
 from .operators import Operator
 from .outcome import ATTEMPTS, TrialOutcome
 from .perception.segmentation import make_segmenter, object_points_m
@@ -210,10 +211,10 @@ class TrialPlayer:
             self._close()
             self._stopped_for = str(error)
             return Attempt(start=episode.offset, outcome=TrialOutcome.DEVICE_FAULT, reason=str(error))
-        is_fusion = StationTask(task.station_of or task.name) is StationTask.FUSION
+        kind = _TRIALS[StationTask(task.station_of or task.name)]
         recorder = None if code is None else VideoRecorder(station, self.video_file, code, self.share)
         with recorder or nullcontext():
-            attempt = (FusionTrial if is_fusion else StationTrial)(
+            attempt = kind(
                 station,
                 task=task,
                 episode=episode,
@@ -249,6 +250,7 @@ def _describe(task: Task, episode: Episode, attempt: int, code: str | None) -> d
     }
 
 
+_TRIALS: Final = {StationTask.PEG: StationTrial, StationTask.LOCK: LockTrial, StationTask.FUSION: FusionTrial}
 _OPENED_AGAIN: Final = frozenset(
     {TrialOutcome.DEVICE_FAULT, TrialOutcome.STOPPED, TrialOutcome.REFUSED, TrialOutcome.NO_PEG}
 )

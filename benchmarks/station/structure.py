@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from vitac.station.description import TwinClass
 from vitac.station.perception.markers import cut_picture, find_centres
-from vitac.station.twin.bench import GARAGE, PEG_AT, Bench
-from vitac.station.twin.grasp import Axes
+from vitac.station.twin.bench import PEG_AT, Bench
+from vitac.station.twin.grasp import CUBOID_PEG, Axes
 from vitac.station.twin.hidden import HiddenSensor, HiddenSettings, TwinSecret, make_twin
 from vitac.station.twin.structure import Difference, HiddenStructure
 
@@ -30,7 +30,7 @@ PICTURE: Final = Path(__file__).parents[2] / "docs" / "pictures" / "twin.png"
 _FIVE_BITS: Final = np.uint8(0xF8)
 PERIOD_S, OLD_S, GAIN, WIDTH, HEIGHT, LABEL = 0.1, 3600.0, 5, 144, 108, 250
 PATH: Final[tuple[tuple[Axes, int], ...]] = (
-    (GARAGE, 1),
+    (CUBOID_PEG.garage, 1),
     ((4.0, 0.0, -39.8, 0.0), 110),
     ((4.0, 0.0, -40.3, 0.0), 5),
     ((3.0, 0.0, -40.3, 0.0), 5),
@@ -67,11 +67,11 @@ class _Driven:
     """A bench whose stage and gripper are where they are put."""
 
     def __init__(self, bench: Bench) -> None:
-        self._bench, self._axes = bench, GARAGE
+        self._bench, self._axes = bench, CUBOID_PEG.garage
         bench.stage.axes = lambda: self._axes  # type: ignore[method-assign]
         bench.gripper.position = lambda: PEG_AT  # type: ignore[method-assign]
         bench.gripper.receive(bytes.fromhex("091003e8000306090000ffff32") + b"\x00\x00")
-        bench.held = bench._hold(GARAGE)
+        bench.held = bench._hold(CUBOID_PEG.garage)
 
     def go(self, start: Axes, goal: Axes, periods: int) -> None:
         for part in np.linspace(0.0, 1.0, periods + 1)[1:]:

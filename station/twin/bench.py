@@ -17,7 +17,7 @@ from ..description import StationTask, TwinClass, TwinMark
 from .depth_pictures import DepthCameraTwin
 from .force_torque import ForceTorqueTwin
 from .gel_view import GelView, Picture
-from .grasp import CUBOID_PEG, Axes, HeldPeg, Mounted, Wrench, grip_harder, hold_peg, in_world
+from .grasp import CUBOID_PEG, HOLE, Axes, HeldPeg, Mounted, Wrench, grip_harder, hold_peg, in_world
 from .gripper import GripperTwin
 from .hidden import FaultScript, HiddenSettings, TwinFault
 from .pictures import CameraFault, CameraTwin
@@ -26,16 +26,13 @@ from .structure import FaultyWrench, twin_gel
 
 _logger = logging.getLogger(__name__)
 
-HOLE: Final[Axes] = (0.0, 0.0, -40.0, 0.0)
-"""Where the stage is while a centred peg stands on the plate."""
-GARAGE: Final[Axes] = (-55.0, 0.0, -30.0, 0.0)
-"""Where the stage is while the gripper can close on the peg."""
 PEG_AT: Final = 180
 """Position of the gripper at which its gels meet the peg."""
 GRIP_FORCE: Final = 50
 """Of the gripper's command at which it closes as far as the hidden indentation; less closes less far."""
 _SETTLED_MM: Final = 1e-5
-_NEAR_MM: Final = 2.0
+_NEAR_MM: Final = 3.0
+"""From the garage: a gripper that closes on a key goes up to 2 mm beside it, along and in height."""
 _LET_GO: Final = 5
 """Positions by which the gripper opens until the peg is free."""
 _NOISE: Final = (0.05,) * 3 + (0.002,) * 3
@@ -149,7 +146,7 @@ class Bench:
         self._number, self._taken = 0, [0, 0]
         self._changed, self._over, self._world = Condition(), Event(), Lock()
         # Kernels are loaded now: later, none of the twin's lines would answer meanwhile.
-        self._garaged = self._hold(GARAGE)
+        self._garaged = self._hold(self.mounted.garage)
         self._look(self._garaged)
         self._garaged.wrench()
         self._garaged.look()
@@ -272,16 +269,19 @@ class Bench:
             for axis in self._axes:
                 axis.find_steps()
         at = (x, y, z, rotation_deg)
-        is_between = self.held is not None or (self._is_in_garage and dist(at[:3], GARAGE[:3]) < _NEAR_MM)
+        is_between = self.held is not None or (self._is_in_garage and self._is_near_garage(at))
         self.gripper.object_at = PEG_AT if is_between else None
         position = self.gripper.position()
         if self.held is None and is_between and position >= PEG_AT:
             self._grasp(at)
         elif self.held is not None and position < PEG_AT - _LET_GO:
             self._let_go()
-            self._is_in_garage = dist(at[:3], GARAGE[:3]) < _NEAR_MM
+            self._is_in_garage = self._is_near_garage(at)
         if self.held is not None:
             self._carry(self.held, at)
+
+    def _is_near_garage(self, at: Axes) -> bool:
+        return dist(at[:3], self.mounted.garage[:3]) < _NEAR_MM
 
     def _grasp(self, at: Axes) -> None:
         try:
@@ -311,7 +311,7 @@ class Bench:
         if is_touching and not self._is_touching:
             self.contacts += 1
         # The peg must be clear of the plate before it can touch it again.
-        self._is_touching = is_touching or (self._is_touching and at[2] < HOLE[2] + _NEAR_MM)
+        self._is_touching = is_touching or (self._is_touching and not self.mounted.is_clear(at))
         self._look(held)
 
     def _look(self, held: HeldPeg) -> None:

@@ -11,6 +11,7 @@ from vitac.envs.assets import Meshes
 from vitac.envs.fem.model.mesh import GEL_MATERIAL, PART_MATERIAL, PronyBranch
 from vitac.envs.fem.model.settings import ArenaContactSettings, FrictionWeakening, PairFriction
 from vitac.envs.geometry.bases import RIM_MM
+from vitac.envs.geometry.keys_and_locks import KEYS, LOCKS, OWN_CLEARANCE, KeyShape
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import Clocks, PhysicsSettings, Stopwatch
 from vitac.envs.scene.gripper import GripperPose
@@ -27,6 +28,7 @@ from vitac.envs.tasks.fusion_insertion.scene import (
 )
 from vitac.envs.tasks.insertion.interface import PegOffset
 from vitac.envs.tasks.insertion.scene import InsertionScene
+from vitac.envs.tasks.lock_opening.scene import KeyOffset, LockOpeningSettings, LockScene, LockStart, SensorJitter
 from vitac.envs.tasks.peg_insertion.scene import PegInsertionSettings, PegScene, PegStart
 from vitac.envs.vision.camera import Sight
 from vitac.envs.vision.pinhole import RigShift
@@ -55,11 +57,30 @@ _SENSOR_ABOVE_M: Final = 0.15
 """Middle of the force/torque sensor above the grasp: the length of a Hand-E and its flange."""
 
 
+HOLE: Final[Axes] = (0.0, 0.0, -40.0, 0.0)
+"""Where the stage is while a centred peg stands on the plate, or holds a key that is deepest in its lock."""
+_GARAGE: Final[Axes] = (-55.0, 0.0, -30.0, 0.0)
+_LOCK_GARAGE: Final[Axes] = (75.0, 0.0, -40.0, 0.0)
+"""In front of the lock, out of which the longest key comes 56 mm from where it is deepest."""
+_CLEAR_MM: Final = 2.0
+
+
 class Mounted(NamedTuple):
-    """What stands before the gripper: the parts of a task, by its name, and the shape of the peg."""
+    """What stands before the gripper: the parts of a task, by its name, and the shape of the peg or key."""
 
     task: StationTask = StationTask.PEG
     shape: str = PegShape.CUBOID
+
+    @property
+    def garage(self) -> Axes:
+        """Where the stage is while the gripper can close on the peg, or on the middle of the key's handle."""
+        return _LOCK_GARAGE if self.task is StationTask.LOCK else _GARAGE
+
+    def is_clear(self, at: Axes) -> bool:
+        """Return whether what the gripper holds cannot touch what it goes into."""
+        if self.task is StationTask.LOCK:
+            return at[0] > self.garage[0] - _CLEAR_MM
+        return at[2] > HOLE[2] + _CLEAR_MM
 
 
 CUBOID_PEG: Final = Mounted()
@@ -114,17 +135,20 @@ def in_world(at: Axes, hole: Axes, hidden: HiddenSettings) -> Axes:
 
 
 class HeldPeg:
-    """A peg between two gels, from its grasp until it is released.
+    """A peg or key between two gels, from its grasp until it is released.
 
     Attributes:
-        scene: gels, peg and plate.
+        scene: gels, peg and plate, or key and lock.
         axes: where the stage is, from the hole.
     """
 
-    def __init__(self, peg: InsertionScene[Any, Any], axes: Axes, fingers: Compliance | None) -> None:
-        """Close on a peg that stands where the gripper is."""
+    def __init__(self, peg: InsertionScene[Any, Any] | LockScene, axes: Axes, fingers: Compliance | None) -> None:
+        """Close on what stands where the gripper is."""
         self._peg = peg
-        InsertionScene.grasp(self._peg)
+        if isinstance(peg, LockScene):
+            peg.grasp()
+        else:
+            InsertionScene.grasp(peg)  # that of the task goes down to the plate, too
         self.scene = self._peg.grasped
         self._start = _Grasp(axes=axes, pose=self.scene.pose)
         self.axes = axes
@@ -184,15 +208,11 @@ class HeldPeg:
         x, y, z, rotation = (now - before for now, before in zip(self.axes, self._start.axes, strict=True))
         return self._peg.look_from(x, y, rotation, z)
 
-    def depth_mm(self) -> float:
-        """Return how deep the highest corner of the peg's lower end is below the rim [mm]."""
-        return -float(self._peg.peg_relative_z_mm().max())
-
 
 def hold_peg(
     mounted: "Mounted", axes: Axes, hidden: HiddenSettings, meshes: Meshes, period_s: float = TIME_STEP_S
 ) -> HeldPeg:
-    """Return the mounted peg in the gripper, where that is now.
+    """Return the mounted peg in the gripper, where that is now, or the key, which is in its garage.
 
     Args:
         mounted: what is held.
@@ -207,6 +227,8 @@ def hold_peg(
     clocks = Clocks(physics=Stopwatch(), markers=Stopwatch())
     # The peg stands where the gripper is, but for the grasp.
     x_mm, z_mm = x_mm - hidden.grasp_x_mm, z_mm - hidden.grasp_z_mm
+    if mounted.task is StationTask.LOCK:
+        return HeldPeg(_lock_scene(mounted, axes, hidden, meshes, physics, clocks), axes, structure.compliance)
     if mounted.task is StationTask.FUSION:
         target = Target.from_shape(FusionShape(mounted.shape))
         place = FusionOffset(
@@ -236,6 +258,38 @@ def hold_peg(
         gap_mm=z_mm,
     )
     return HeldPeg(raised, axes, structure.compliance)
+
+
+def _lock_scene(
+    mounted: Mounted, axes: Axes, hidden: HiddenSettings, meshes: Meshes, physics: PhysicsSettings, clocks: Clocks
+) -> LockScene:
+    """Return gels that are open around the handle of a key in its garage; key and gripper turn together."""
+    shape = KeyShape(mounted.shape)
+    key = in_world(mounted.garage, HOLE, hidden)
+    return LockScene(
+        start=LockStart(
+            shape=shape,
+            offset=KeyOffset(x_mm=key[0], y_mm=key[1], z_mm=key[2]),
+            jitter=SensorJitter(x_mm=axes[0] - key[0], z_mm=axes[2] - key[2]),
+        ),
+        meshes=meshes,
+        settings=LockOpeningSettings(
+            slot_clearance_mm=_slot_clearance_mm(shape, hidden.structure.tolerance_mm),
+            indentation_mm=hidden.indentation_mm,
+            gripper_x_mm=hidden.grasp_x_mm,
+            gripper_z_mm=hidden.grasp_z_mm,
+            physics=physics,
+        ),
+        clocks=clocks,
+    )
+
+
+def _slot_clearance_mm(shape: KeyShape, tolerance_mm: float) -> float:
+    """Return the room of a tooth in its slot on both sides of a lock that was made with a tolerance."""
+    if not tolerance_mm:
+        return OWN_CLEARANCE
+    (slot_from, slot_to), (tooth_from, tooth_to) = LOCKS[shape].slots_mm[0], KEYS[shape].teeth_mm[0]
+    return 0.5 * ((slot_to - slot_from) - (tooth_to - tooth_from)) + tolerance_mm
 
 
 class _SeenPeg(FusionScene):

@@ -21,12 +21,12 @@ import yaml
 from numpy.typing import NDArray
 from vitac.envs.vision.optics import COLOUR_INTRINSICS, HEIGHT_PX, WIDTH_PX
 
-from ..description import TwinMark
-from .bench import GARAGE, HOLE, Bench
+from ..description import StationTask, TwinMark
+from .bench import Bench
 from .depth_pictures import UNITS_PER_M, DepthCameraTwin
 from .force_torque import ForceTorqueTwin
 from .gel_view import SMALL_CAMERA, marker_grid
-from .grasp import CUBOID_PEG, Mounted
+from .grasp import CUBOID_PEG, HOLE, Mounted
 from .gripper import GripperTwin
 from .hidden import PUBLIC_TWIN, FaultScript, HiddenSettings, TwinFault
 from .overview import OverviewTwin
@@ -157,14 +157,17 @@ def playing_station(bench: Bench) -> Iterator[TwinStation]:
         station.description["force_torque"]["rate_hz"] = _FRAMES_HZ
         station.description["twin"] = bench.mark.model_dump(mode="json")
         station.description["procedure"] = {
+            "task": str(bench.mounted.task),
             "shape": str(bench.mounted.shape),
             "hole": _describe_place(HOLE),
-            "garage": _describe_place(GARAGE),
+            "garage": _describe_place(bench.mounted.garage),
             "safe_z_mm": -20.0,
             "picture_s": bench.period_s,
             "release": "automatic",
             "latency_s": 0.12 + 2 * bench.period_s,
         }
+        if bench.mounted.task is StationTask.LOCK:
+            station.description["limits"]["workspace"] |= {"x_mm": [-10, 85]}
         _add_overview(station, bench, stack)
         if bench.depth_camera is not None:
             _add_depth_camera(station.description, stack.enter_context(bench.depth_camera))
@@ -173,7 +176,7 @@ def playing_station(bench: Bench) -> Iterator[TwinStation]:
 
 def _add_overview(station: TwinStation, bench: Bench, stack: ExitStack) -> None:
     code = Path(stack.enter_context(TemporaryDirectory(prefix="vitac-twin-"))) / "code.png"
-    view = OverviewTwin(bench.stage, lambda: bench.held is not None, HOLE[2], code)
+    view = OverviewTwin(bench.stage, lambda: bench.held is not None, bench.mounted, code)
     camera = stack.enter_context(CameraTwin(picture=view, period_s=_OVERVIEW_PERIOD_S))
     station.description["overview"] = {
         "serial_number": "OVERVIEW-1",

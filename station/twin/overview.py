@@ -1,29 +1,45 @@
-"""What an overview camera sees of a twin: stage, gripper and plate from the side, and the screen with the code."""
+"""What an overview camera sees of a twin: stage, gripper, plate or lock from the side, and the screen with the code."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
+from ..description import StationTask
+from .grasp import HOLE, Mounted
 from .pictures import Picture
 from .stage import StageTwin
 
 _WIDTH, _HEIGHT = 640, 480
-_GROUND, _PLATE, _ARM, _PEG = (58, 54, 50), (150, 140, 130), (90, 90, 96), (60, 130, 200)
-_RIM: Final = 400
+_GROUND, _PART, _ARM, _HELD = (58, 54, 50), (150, 140, 130), (90, 90, 96), (60, 130, 200)
+_MIDDLE_X, _RIM = 280, 400
 _PX_PER_MM: Final = 4.0
 _SCREEN: Final = (440, 20, 190)
 """Left edge, upper edge and size of the screen [px]."""
 _NOISE: Final = 4
+_GRIP: Final = 80
+"""Middle of the gels above the lower end of a peg, or the middle of a key [px]."""
+
+Rectangle = tuple[int, int, int, int]
+"""Left, upper, right and lower edge [px]."""
+_PLATE: Final = ((0, _RIM, _MIDDLE_X - 8, _HEIGHT), (_MIDDLE_X + 8, _RIM, _WIDTH, _HEIGHT))
+_LOCK: Final = ((0, _RIM - 160, 184, _RIM - 104), (0, _RIM - 56, 184, _RIM))
+"""Above and below its channel."""
+_PEG: Final = ((-7, -10, 7, 80),)
+_KEY: Final = ((-270, -20, -30, 20), (-30, -40, 30, 40))
+"""Shaft and handle."""
 
 
 class OverviewTwin:
     """Draws the platform as its stage stands."""
 
-    def __init__(self, stage: StageTwin, is_held: Callable[[], bool], hole_z_mm: float, code_picture: Path) -> None:
-        """Look at a stage and at the picture with the code; `is_held` says whether the gripper has a peg."""
-        self._stage, self._is_held, self._hole_z_mm, self._code_picture = stage, is_held, hole_z_mm, code_picture
+    def __init__(self, stage: StageTwin, is_held: Callable[[], bool], mounted: Mounted, code_picture: Path) -> None:
+        """Look at a stage and at the picture with the code; `is_held` says whether the gripper holds anything."""
+        self._stage, self._is_held, self._code_picture = stage, is_held, code_picture
+        is_lock = mounted.task is StationTask.LOCK
+        self._fixed: Sequence[Rectangle] = _LOCK if is_lock else _PLATE
+        self._held: Sequence[Rectangle] = _KEY if is_lock else _PEG
         self._generator = np.random.default_rng(0)
 
     def __call__(self) -> Picture:
@@ -32,14 +48,12 @@ class OverviewTwin:
 
         picture = np.full((_HEIGHT, _WIDTH, 3), _GROUND, np.uint8)
         x_mm, _, z_mm, _ = self._stage.axes()
-        x, tip = round(280 + _PX_PER_MM * x_mm), round(_RIM - _PX_PER_MM * (z_mm - self._hole_z_mm))
-        cv2.rectangle(picture, (0, _RIM), (_WIDTH, _HEIGHT), _PLATE, -1)
-        cv2.rectangle(picture, (272, _RIM), (288, _HEIGHT), _GROUND, -1)
+        x, y = round(_MIDDLE_X + _PX_PER_MM * x_mm), round(_RIM - _GRIP - _PX_PER_MM * (z_mm - HOLE[2]))
+        _draw(picture, self._fixed, (0, 0), _PART)
         if self._is_held():
-            cv2.rectangle(picture, (x - 7, tip - 90), (x + 7, tip), _PEG, -1)
-        for side in (-1, 1):
-            cv2.rectangle(picture, (x + side * 9, tip - 120), (x + side * 24, tip - 45), _ARM, -1)
-        cv2.rectangle(picture, (x - 40, max(tip - 190, 0)), (x + 40, tip - 120), _ARM, -1)
+            _draw(picture, self._held, (x, y), _HELD)
+        arm = ((-24, -40, -9, 35), (9, -40, 24, 35), (-40, -110, 40, -40))
+        _draw(picture, arm, (x, y), _ARM)
         self._show_code(picture)
         noise = self._generator.integers(0, _NOISE, picture.shape, dtype=np.uint8)
         return np.asarray(cv2.add(picture, noise), dtype=np.uint8)
@@ -52,3 +66,11 @@ class OverviewTwin:
             left, upper, size = _SCREEN
             shown = cv2.resize(code, (size, size), interpolation=cv2.INTER_AREA)
             picture[upper : upper + size, left : left + size] = shown
+
+
+def _draw(picture: Picture, rectangles: Sequence[Rectangle], at: tuple[int, int], colour: tuple[int, int, int]) -> None:
+    import cv2
+
+    x, y = at
+    for left, upper, right, lower in rectangles:
+        cv2.rectangle(picture, (x + left, y + upper), (x + right, y + lower), colour, -1)

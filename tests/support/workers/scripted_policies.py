@@ -21,8 +21,9 @@ class Scripted:
     answers_s = ()
     output = ""
 
-    def __init__(self, act: Act) -> None:
+    def __init__(self, act: Act, task: str = "peg-insertion", action_numbers: int = 3) -> None:
         self._act, self.seen = act, list[Observation]()
+        self._asked = (task, (action_numbers,), ())
 
     def begin_shard(self) -> None:
         """Nothing is counted."""
@@ -31,7 +32,7 @@ class Scripted:
     def episode(
         self, *, task: str, action_shape: tuple[int, ...], clouds: Sequence[CloudSpec] = ()
     ) -> Iterator[PlayingPolicy]:
-        assert (task, action_shape, clouds) == ("peg-insertion", (3,), ())
+        assert (task, action_shape, clouds) == self._asked
         yield self
 
     def act(self, observation: Observation) -> NDArray[np.float32]:

@@ -65,6 +65,18 @@ def test_trials_that_count_are_paired_with_their_episodes(tmp_path: Path, capsys
     assert "say little of 1 policies; play 10 or more" in out
 
 
+def test_a_trial_that_began_at_another_start_of_the_list_is_no_pair(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, report = simulated(tmp_path / "a.jsonl", {1, 2, 3}), tried(tmp_path / "a.json", TRIALS)
+    content = json.loads(report.read_text())
+    content["trials"][0]["attempts"][0]["start"] = [9.0, 9.0, 9.0]
+    report.write_text(json.dumps(content))
+    code, out, _ = run(capsys, log, report, "--json")
+    (policy,) = json.loads(out)["policies"]
+    assert (code, policy["episodes"], policy["both"]) == (0, 2, 1)
+
+
 def test_files_of_other_policies_lists_and_kinds_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -183,6 +183,11 @@ def test_depth_camera_is_compared_with_what_it_has_stored(
             ["At the garage: Target x_mm -90.0"] * 2,
         ),
         ({"hole": {"x_mm": 0, "y_mm": 4, "z_mm": -40}}, DeviceRule.LIMITS, ["At the hole: Target y_mm 16.0"] * 3),
+        (
+            {"task": "lock-opening", "shape": "key1"},
+            DeviceRule.LIMITS,
+            ["At the lock: Target x_mm 77.0: expected -60.0 to 15.0"] * 2,
+        ),
         ({"push_mm": 8}, DeviceRule.LIMITS, ["At the hole: Target z_mm -49.0: expected -48.0 to 0.0"] * 2),
         ({"grip_force": 101}, DeviceRule.LIMITS, ["Gripper force 101: expected 0 to 100."]),
         ({"sam_weights": "none.pth"}, DeviceRule.FOUND, ["Expected the weights of SAM at none.pth, got no file."]),

@@ -2,12 +2,14 @@
 
 from collections.abc import Iterator
 from itertools import chain, repeat
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from vitac.station.devices.stage import DeviceFault
-from vitac.station.eyes import Eyes, Finger
+from vitac.station.description import Procedure, Release, StagePose
+from vitac.station.devices.stage import DeviceFault, Pose
+from vitac.station.eyes import Eyes, Finger, _free
 from vitac.station.guard import StopCause
 from vitac.station.perception.markers import DROPPED_PICTURES
 from vitac.station.twin.gel_view import SMALL_CAMERA, marker_grid
@@ -32,6 +34,38 @@ class Camera:
         for each in self.pictures:
             return each
         raise DeviceFault("The camera stopped sending.")
+
+
+class Stage:
+    """Stands somewhere, and notes where it was sent."""
+
+    def __init__(self, at: Pose) -> None:
+        self.way = [at]
+
+    def status(self) -> SimpleNamespace:
+        return SimpleNamespace(pose=self.way[-1], is_moving=False)
+
+    def start_move(self, target: Pose, feed: float) -> None:
+        assert feed == 180.0
+        self.way.append(target)
+
+
+@pytest.mark.parametrize(
+    ("task", "way"),
+    [("peg-insertion", [(3.0, 1.0, -20.0, 2.0)]), ("lock-opening", [(3.0, 1.0, -40.0, 2.0), (75.0, 0.0, -40.0, 2.0)])],
+)
+def test_what_a_killed_agent_left_pressed_onto_something_is_taken_away(
+    task: str, way: list[tuple[float, float, float, float]]
+) -> None:
+    places = {"hole": StagePose(x_mm=0, y_mm=0, z_mm=-40), "garage": StagePose(x_mm=75, y_mm=0, z_mm=-40)}
+    procedure = Procedure(task=task, shape="any", safe_z_mm=-20, release="automatic", **places)
+    stage: Any = Stage(Pose(3.0, 1.0, -36.0, 2.0))
+    description: Any = SimpleNamespace(limits=SimpleNamespace(speed_mm_s=3.0))
+    _free(stage, description, procedure)
+    assert stage.way[1:] == way
+    waits = procedure.model_copy(update={"release": Release.OPERATOR})
+    _free(stage, description, waits)
+    assert len(stage.way) == len(way) + 1
 
 
 class Guarded:

@@ -21,7 +21,7 @@ from vitac.station.outcome import TrialOutcome
 from vitac.station.rehearsal import RehearsalReport, TrialRecord
 from vitac.station.touch_gap import measure_touch_gap
 from vitac.station.trial import Attempt, StationTrial
-from vitac.station.twin.bench import HOLE
+from vitac.station.twin.grasp import HOLE
 from vitac.station.twin.hidden import PUBLIC_SETTINGS, HiddenSettings, TwinFault
 from vitac.station.twin.laboratory import RunningTwin, TwinStation, twin_process
 

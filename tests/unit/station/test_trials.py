@@ -17,11 +17,11 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Episode, load_track
 from vitac.station import agent, trials
 from vitac.station.agent import StationShard, StationShards, TrialNotPlayed, make_record
-from vitac.station.description import Procedure, StationDescription, TwinClass, TwinMark
+from vitac.station.description import Procedure, StationDescription, StationTask, TwinClass, TwinMark
 from vitac.station.devices.stage import DeviceNotFound, Pose
 from vitac.station.operators import Operator
 from vitac.station.outcome import ATTEMPTS, TrialOutcome
-from vitac.station.rehearsal import RehearsalReport, TrialRecord
+from vitac.station.rehearsal import RehearsalReport, StationRefused, TrialRecord, find_station_task, rehearse
 from vitac.station.trial import Attempt
 from vitac.station.trials import TrialPlayer
 
@@ -58,7 +58,7 @@ class Laboratory:
 
     def play(self, monkeypatch: pytest.MonkeyPatch) -> list[TrialOutcome]:
         monkeypatch.setattr(trials, "open_station", self.open_station)
-        monkeypatch.setattr(trials, "StationTrial", self.trial)
+        monkeypatch.setattr(trials, "_TRIALS", dict.fromkeys(StationTask, self.trial))
         description: Any = None
         operator: Any = SimpleNamespace(
             stop_reason=None, make_safe=self.reasons.append, begin=lambda _: None, end=lambda: ()
@@ -181,6 +181,31 @@ def test_shard_has_a_record_of_each_trial_without_one(repository: Path, monkeypa
     with running(again, "cuboid", repository, monkeypatch, skip=1) as shard:
         assert len(list(shard.records())) == 1
     assert again.played == player.played[1:]
+
+
+def test_trials_of_another_task_than_the_mounted_one_are_not_played(
+    repository: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    player = Attempts(T)
+    key = Procedure.model_construct(task=StationTask.LOCK, shape="key1")
+    player.description = LAB.model_copy(update={"procedure": key})
+    refusal = pytest.raises(TrialNotPlayed, match="The trials are of peg-insertion; the station has lock-opening mount")
+    with running(player, "cuboid", repository, monkeypatch) as shard, refusal:
+        next(shard.records())
+    assert player.played == []
+
+
+def test_a_rehearsal_needs_a_submission_to_what_is_mounted(repository: Path) -> None:
+    folder = repository / "examples" / "lock_opening_trained" / "Track_1"
+    sentence = "Expected a submission to peg-insertion, as `procedure.task` says, got one to lock-opening."
+    with pytest.raises(StationRefused, match=sentence):
+        rehearse(TrialPlayer(description=LAB, folder=folder), folder, load_track("track_1"))
+    bare = LAB.model_copy(update={"procedure": None})
+    with pytest.raises(StationRefused, match="The file of lab has no `procedure`"):
+        rehearse(TrialPlayer(description=bare, folder=folder), folder, load_track("track_1"))
+    assert find_station_task(("lock-opening",)) is StationTask.LOCK
+    with pytest.raises(StationRefused, match="the submission plays explore"):
+        find_station_task(("explore",))
 
 
 @pytest.mark.parametrize(

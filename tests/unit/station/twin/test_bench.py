@@ -4,11 +4,13 @@ import struct
 
 import numpy as np
 import pytest
+from vitac.envs.geometry.pegs import PLATE_THICKNESS_MM
 from vitac.envs.tactile.gel import arena_gel_mesh
 from vitac.station.perception.markers import cut_picture, find_centres
 from vitac.station.perception.observation import DAMAGED_PART, find_changed_part, measure_brightness
-from vitac.station.twin.bench import GARAGE, GRIP_FORCE, HOLE, PEG_AT, Backlash, Bench
+from vitac.station.twin.bench import GRIP_FORCE, PEG_AT, Backlash, Bench
 from vitac.station.twin.force_torque import ForceTorqueFault
+from vitac.station.twin.grasp import CUBOID_PEG, HOLE
 from vitac.station.twin.gripper import GripperFault, checksum
 from vitac.station.twin.hidden import (
     PUBLIC_SETTINGS,
@@ -42,7 +44,7 @@ def go(bench: Bench, *axes: float, speed_mm_s: float = 50.0) -> None:
 
 
 def fetch(bench: Bench) -> None:
-    go(bench, *GARAGE)
+    go(bench, *CUBOID_PEG.garage)
     grip(bench, 255)
     for _ in range(6):
         bench.advance()
@@ -79,7 +81,7 @@ def test_plate_is_felt_beside_the_hole_and_not_over_it_and_a_script_breaks_what_
     spike = ScriptedFault(fault=TwinFault.FORCE_SPIKE, contact=1, for_s=0.3)
     bench = Bench(hidden=PUBLIC_SETTINGS, period_s=0.1, script=FaultScript(faults=(spike,)))
     fetch(bench)
-    go(bench, *GARAGE[:2], -20.0, 0.0)
+    go(bench, *CUBOID_PEG.garage[:2], -20.0, 0.0)
     go(bench, 4.0, -2.0, -20.0, 5.0)
     assert abs(bench.box.wrench()[2]) < 1.0
     in_air = [measure_brightness(view.picture()) for view in bench.views]
@@ -100,7 +102,8 @@ def test_plate_is_felt_beside_the_hole_and_not_over_it_and_a_script_breaks_what_
     assert abs(bench.box.wrench()[2]) < 1.0
     assert bench.contacts == 1
     assert bench.held is not None
-    assert bench.held.depth_mm() == pytest.approx(1.0, abs=0.2)
+    corners_m = bench.held.scene.held_vertices_m(np.arange(len(bench.held.scene.held_surface.vertices_m)))
+    assert PLATE_THICKNESS_MM - 1e3 * corners_m[:, 2].min() == pytest.approx(1.0, abs=0.2)
 
 
 def test_stuck_gripper_holds_on_to_its_peg(bench: Bench) -> None:
