@@ -313,6 +313,31 @@ _NAMES: Final = {
     StationTask.FUSION: ("track_2", "station_fusion"),
 }
 """Of the simulated track, and of that of stations."""
+_ENDS: Final = (
+    "A marker that moves too far, or the limit of force or torque that stops the policy for the second time, ends a "
+    "trial as `tactile`. An action that leads {range} ends it as `error`, and nothing moves. {steps} env steps end it."
+)
+_SUCCESS_RULES: Final = {
+    StationTask.PEG: (
+        "The peg is more than 0.35 mm below the height at which a gel felt the plate, the markers of both gels moved "
+        "by less than three times what is noise (more after large movements), and a push of 3 mm down moves them by "
+        "less than five times as much.",
+        "further than 12 mm or 15 degrees from the hole",
+    ),
+    StationTask.LOCK: (
+        "The gripper is more than 4 mm higher than where the key went into its lock, the markers of both gels moved by "
+        "less than three times what is noise (more after large movements), and a pull outwards is felt within 5 mm.",
+        "beyond -5 to 70 mm along the key from its deepest place, or -3 to 12 mm in height,",
+    ),
+    StationTask.FUSION: (
+        "The peg is more than 1 mm below the rim, within 6 mm in x and y and 10 degrees of its own hole, and the "
+        "markers of both gels moved by less than three times what is noise (more after large movements).",
+        "further than 12 mm in x, 30 mm in y or 20 degrees from its own hole, or beyond 7.1 mm below to 22.9 mm above "
+        "the rim,",
+    ),
+}
+"""When a trial succeeds, and the range of an action; the procedures are `trial`, `lock_trial` and `trials`."""
+_PEG_NOTE: Final = "Where a start is not blocked at a station, the next one of the list takes its place."
 
 
 def make_station_track(
@@ -334,7 +359,17 @@ def make_station_track(
     )
     chosen = list(distinct)[:starts]
     own: dict[str, Any] = played.model_dump(mode="json", exclude_defaults=True, exclude={"name_2025", "profiles"})
-    own |= {"name": f"{task}-station", "title": f"{played.title} on a station", "station_of": str(task)}
+    rule, beyond = _SUCCESS_RULES[task]
+    own |= {
+        "name": f"{task}-station",
+        "title": f"{played.title} on a station",
+        "station_of": str(task),
+        "success_rule": f"{rule} {_ENDS.format(range=beyond, steps=played.max_steps)}",
+        "notes": [
+            f"{len(chosen)} starts with the {shape}, {repeats} times each. They are not observed.",
+            *([_PEG_NOTE] if task is StationTask.PEG else []),
+        ],
+    }
     own["shard_size"] = 1
     own["episode_list"] = {
         "list_seed": played.episode_list.list_seed,
