@@ -119,7 +119,10 @@ class Arm:
         self.lift(self._procedure.safe_z_mm)
 
     def open_in_garage(self, beside_mm: Beside = (0.0, 0.0)) -> None:
-        """Open the gripper in the garage, where a peg that it holds stays as it was, and go beside its place there."""
+        """Open the gripper in the garage, where a peg that it holds stays as it was, and go beside its place there.
+
+        Nothing is held then, so that the force/torque sensor is zeroed.
+        """
         safe_mm = self._procedure.safe_z_mm
         self.lift(safe_mm)
         is_held = self.holds_peg()
@@ -132,6 +135,7 @@ class Arm:
             self._grip(self._procedure.open_position)
             self.go(self._garage(beside_mm))
         self._wait(_SETTLE_S)
+        self._guard.zero_forces()
 
     def _garage(self, beside_mm: Beside) -> Pose:
         garage, (x_mm, z_mm) = self._procedure.garage, beside_mm

@@ -152,6 +152,7 @@ class Guard:
     _reason: str | None = None
     _heard_s: float = 0.0
     _over: Event = field(default_factory=Event)
+    _zeroes: Event = field(default_factory=Event)
     _stopping: Lock = field(default_factory=Lock)
     _wrenches: deque[Wrench] = field(default_factory=lambda: deque(maxlen=_MEAN_OF))
     _frames: int = 0
@@ -192,6 +193,17 @@ class Guard:
             if not self._arrived.wait_for(lambda: self._frames >= enough, max(_ARRIVAL_S, self.limits.reading_s)):
                 raise DeviceFault("The force/torque sensor has sent nothing. Check its cable.")
             return _mean(list(self._wrenches)[-frames:])
+
+    def zero_forces(self) -> None:
+        """Take the present forces and torques for zero, with nothing held: a sensor's zero drifts over hours.
+
+        Raises:
+            StationStopped: the sensor failed, or something else stops the station.
+        """
+        self._zeroes.set()
+        while self._zeroes.is_set():
+            self._over.wait(CONTROL_PERIOD_S / 4)
+            self.check_released()
 
     def beat(self) -> None:
         """Say that whoever commands the station is alive."""
@@ -288,9 +300,18 @@ class Guard:
         if self._reason is not None:
             raise StationStopped(f"The station is stopped: {self._reason} Make it safe, then release it.")
 
+    def _zero(self) -> None:
+        try:
+            self.force_torque.zero_again()
+            self._wrenches.clear()
+        finally:
+            self._zeroes.clear()
+
     def _watch(self) -> None:
         while not self._over.is_set():
             try:
+                if self._zeroes.is_set():
+                    self._zero()
                 for wrench in self.force_torque.read(timeout_s=self.limits.reading_s):
                     check_wrench(self.limits, wrench)
                     with self._arrived:

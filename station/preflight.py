@@ -61,6 +61,11 @@ def check_held(station: OpenStation) -> list[PreflightFinding]:
     return _refuse_bad([*_measure_gels(station), *_measure_zero(station)])
 
 
+def has_zero(station: OpenStation) -> bool:
+    """Return whether the force/torque sensor shows what it may of a peg that hangs in free air."""
+    return all(each.is_good for each in _measure_zero(station))
+
+
 def _refuse_bad(findings: list[PreflightFinding]) -> list[PreflightFinding]:
     bad = [str(each) for each in findings if not each.is_good]
     if bad:

@@ -26,7 +26,7 @@ from .operators import Operator, OperatorDecision
 from .outcome import TrialOutcome
 from .perception.observation import NoMarkerFollowed, marker_flow, mean_by_region
 from .perception.segmentation import NothingAtPrompt, SamMissing
-from .preflight import PreflightRefused, check_held, check_ready
+from .preflight import PreflightRefused, check_held, check_ready, has_zero
 from .video import VideoRecorder
 
 _STILL_PICTURES: Final = 30
@@ -242,17 +242,23 @@ class StationTrial:
         raise NotBlocked(f"At none of {_STARTS} starts of the list a gel felt the plate within {timeout_s} s.")
 
     def _grasp(self) -> None:
-        """Hold the peg at the height beside the hole, grasped again where it has moved between the gels."""
+        """Hold the peg at the height beside the hole.
+
+        It is grasped again where it has moved between the gels, or where the zero of the force/torque sensor is off:
+        that is set in the garage.
+        """
         arm, station = self._arm, self._station
         for _ in range(_REGRASPS):
             if station.thresholds_px is None or not arm.holds_peg():
                 arm.fetch()
                 station.thresholds_px = self._measure_noise()
             self._go_beside()
-            if not self._exceeds(arm.settle(_PAUSE_S), _REGRASP_FACTOR):
+            has_moved = self._exceeds(arm.settle(_PAUSE_S), _REGRASP_FACTOR)
+            if not has_moved and has_zero(station):
                 break
             station.thresholds_px = None
         else:
+            check_held(station)
             raise NoPeg(f"The peg still moves between the gels after {_REGRASPS} grasps. Clean gels and peg.")
         self._take_references(station.thresholds_px)
 

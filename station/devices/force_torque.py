@@ -53,7 +53,7 @@ class ForceTorqueSensor:
                 f"No force/torque box at {self._place}: {error}. Check its cable and `host`."
             ) from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._pending = b""
+        self._pending, self._rate_hz = b"", 0
         self.damaged_bytes = 0
         """Bytes that were discarded because they belong to no frame with a correct sum."""
 
@@ -78,8 +78,15 @@ class ForceTorqueSensor:
         self._ask("DCKMD=SUM")
         self._ask(f"SMPR={rate_hz}")
         self._ask(f"SGDM={_FORMAT}")
+        self._rate_hz = rate_hz
         with self._reported():
             self._socket.sendall(b"AT+GSD\r\n")
+
+    def zero_again(self) -> None:
+        """Take the present forces and torques for zero while the stream runs, with nothing held."""
+        self.stop()
+        self.zero()
+        self.start(self._rate_hz)
 
     def stop(self) -> None:
         """End the stream."""

@@ -187,6 +187,18 @@ def test_motion_that_reaches_the_controller_after_a_stop_is_held(
     assert_held(guard, twins, "an operator pressed stop")
 
 
+def test_zero_that_has_drifted_is_taken_again_while_the_guard_watches(guard: Guard, twins: TwinStation) -> None:
+    sense(twins, 0.0, 1.0, 5.0, 0.0, 0.0, 0.1)
+    assert guard.measure_wrench() == pytest.approx((0.0, 1.0, 5.0, 0.0, 0.0, 0.1))
+    guard.zero_forces()
+    assert guard.measure_wrench() == pytest.approx((0.0,) * 6)
+    sense(twins, 0.0, 1.0, 8.0, 0.0, 0.0, 0.1)
+    assert guard.measure_wrench() == pytest.approx((0.0, 0.0, 3.0, 0.0, 0.0, 0.0))
+    twins.force_torque.cut()
+    with pytest.raises(StationStopped, match="force/torque box"):
+        guard.zero_forces()
+
+
 def test_released_station_moves_again_from_where_it_was_held(guard: Guard, twins: TwinStation) -> None:
     guard.move(TARGET, **SLOW)
     guard.stop("an operator pressed stop.")

@@ -118,6 +118,20 @@ def test_starts_over_the_hole_are_not_blocked(play: Play, monkeypatch: pytest.Mo
 
 
 @pytest.mark.slow
+def test_peg_is_fetched_again_where_the_zero_of_the_forces_has_drifted(
+    play: Play, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fetched, has_zero = list[Arm](), iter((False, True))
+    fetch = Arm.fetch
+    monkeypatch.setattr(trial, "has_zero", lambda _: next(has_zero))
+    monkeypatch.setattr(Arm, "fetch", lambda arm: fetch(arm) or fetched.append(arm))
+    attempt, _ = play(nowhere)
+    assert attempt.outcome.counts, attempt.reason
+    assert len(fetched) >= 1
+    assert next(has_zero, None) is None
+
+
+@pytest.mark.slow
 def test_action_out_of_range_moves_nothing(play: Play, station: OpenStation) -> None:
     attempt, _ = play(away, (11.5, 0.0, 0.0))
     assert attempt.outcome is TrialOutcome.ERROR
