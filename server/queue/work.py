@@ -44,6 +44,8 @@ SHARED_OVER_S = 300.0
 
 RETRY_DELAY_S = 2.0
 """Pause before the second attempt of work that a machine could not do; the third comes after twice as long."""
+_GROWTH, _LONGEST_DELAY_S = 1.5, 600.0
+"""Later pauses grow, so that a station which is out of order for an hour ends no evaluation."""
 
 IDLE_LIMIT = "10s"
 """The database ends a sweep whose process does nothing for this time, and another one takes over."""
@@ -333,10 +335,13 @@ def report_broken(
     if attempts >= settings.shard_attempts:
         give_up(session, claim, f"Tried {attempts} times without progress. The last time: {message}")
         return
-    _queue_again(
-        session, claim, attempts=attempts, delay_s=max(1, attempts) * RETRY_DELAY_S,
-        repeat=(RepeatCause.BROKE, message),
-    )  # fmt: skip
+    delay_s = _retry_delay_s(attempts, len(work.repeats))
+    _queue_again(session, claim, attempts=attempts, delay_s=delay_s, repeat=(RepeatCause.BROKE, message))
+
+
+def _retry_delay_s(attempts: int, repeats: int) -> float:
+    """Return the pause [s] before the next attempt, after these that counted and this often queued again before."""
+    return min(RETRY_DELAY_S * max(attempts, _GROWTH**repeats), _LONGEST_DELAY_S)
 
 
 def _queue_again(

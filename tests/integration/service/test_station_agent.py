@@ -24,12 +24,14 @@ from vitac.server.accounts import stations
 from vitac.server.database.models import EpisodeResult, Shard, SubmissionFile
 from vitac.server.database.states import FileRole, WorkState
 from vitac.server.principals import CONSOLE
-from vitac.station.description import make_station_track
+from vitac.station.description import StationTask, make_station_track
+from vitac.station.twin.grasp import Mounted
 from vitac.station.twin.hidden import PUBLIC_SETTINGS
 from vitac.station.twin.laboratory import TwinStation, twin_process, twin_station
 from vitac.station.verification import verify_video
 from worker_fakes import eventually
 
+KEY = Mounted(StationTask.LOCK, "key1")
 MAIN = "import sys; from vitac.cli.main import main; main(sys.argv[1:])"
 LIMIT_S = 240.0
 POLICY = """
@@ -86,8 +88,12 @@ class Laboratory:
 
 
 @pytest.fixture
-def laboratory(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Laboratory]:
-    track = make_station_track(PegShape.CUBOID, 1, starts=1)
+def track() -> dict[str, Any]:
+    return make_station_track(PegShape.CUBOID, 1, starts=1)
+
+
+@pytest.fixture
+def laboratory(track: dict[str, Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Laboratory]:
     (tmp_path / "tracks").mkdir()
     (tmp_path / "tracks" / f"{TRACK}.yaml").write_text(yaml.safe_dump(track))
     monkeypatch.setenv("VITAC_TRACKS_DIR", str(tmp_path / "tracks"))
@@ -142,6 +148,18 @@ def check_video(laboratory: Laboratory, record: dict[str, Any]) -> None:
     found = verify_video(file, EpisodeRecord.model_validate(record))
     assert (found.problems, found.code, found.shows_code) == ([], laboratory.shard().code, True)
     assert record["forces"]["part"]["peak_n"] > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("track", [make_station_track(KEY.shape, 1, starts=1, task=KEY.task) | {"name": TRACK}])
+def test_agent_plays_the_lock(laboratory: Laboratory, repository: Path) -> None:
+    with twin_process(PUBLIC_SETTINGS, mounted=KEY) as twin:
+        laboratory.describe(twin.description)
+        laboratory.submit(repository / "examples" / "lock_opening_trained")
+        with running_agent(laboratory):
+            record = laboratory.record()
+    assert (record["outcome"], record["shape"], record["task"]) == ("success", "key1", "lock-opening-station")
+    check_video(laboratory, record)
 
 
 @pytest.mark.slow

@@ -109,6 +109,13 @@ def test_devices_with_faults_end_no_trial(
         assert session.get_one(Shard, first).state == state
 
 
+def test_a_station_has_an_hour_to_be_mended_before_an_evaluation_ends() -> None:
+    assert [work._retry_delay_s(attempts, attempts - 1) for attempts in (1, 2)] == [2.0, 4.0]
+    free = KINDS[WorkKind.TRIAL].free_repeats
+    assert sum(work._retry_delay_s(0, repeats) for repeats in range(4)) < 20.0
+    assert sum(work._retry_delay_s(0, repeats) for repeats in range(free)) > 3600.0
+
+
 def test_shard_with_a_living_lease_is_left_alone(database: Database, submission: Submission) -> None:
     first = ids_of(database, submission)[0]
     claim(database, first, lease_s=60.0)
