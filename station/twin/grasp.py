@@ -62,7 +62,7 @@ HOLE: Final[Axes] = (0.0, 0.0, -40.0, 0.0)
 _GARAGE: Final[Axes] = (-55.0, 0.0, -30.0, 0.0)
 _LOCK_GARAGE: Final[Axes] = (75.0, 0.0, -40.0, 0.0)
 """In front of the lock, out of which the longest key comes 56 mm from where it is deepest."""
-_CLEAR_MM: Final = 2.0
+_CLEAR_MM, _KEY_CLEAR_MM = 2.0, 60.0
 
 
 class Mounted(NamedTuple):
@@ -79,7 +79,7 @@ class Mounted(NamedTuple):
     def is_clear(self, at: Axes) -> bool:
         """Return whether what the gripper holds cannot touch what it goes into."""
         if self.task is StationTask.LOCK:
-            return at[0] > self.garage[0] - _CLEAR_MM
+            return at[0] > HOLE[0] + _KEY_CLEAR_MM
         return at[2] > HOLE[2] + _CLEAR_MM
 
 

@@ -24,7 +24,7 @@ _GRIP: Final = 80
 Rectangle = tuple[int, int, int, int]
 """Left, upper, right and lower edge [px]."""
 _PLATE: Final = ((0, _RIM, _MIDDLE_X - 8, _HEIGHT), (_MIDDLE_X + 8, _RIM, _WIDTH, _HEIGHT))
-_LOCK: Final = ((0, _RIM - 160, 184, _RIM - 104), (0, _RIM - 56, 184, _RIM))
+_LOCK: Final = ((0, _RIM - 180, 184, _RIM - 136), (0, _RIM - 56, 184, _RIM))
 """Above and below its channel."""
 _PEG: Final = ((-7, -10, 7, 80),)
 _KEY: Final = ((-270, -20, -30, 20), (-30, -40, 30, 40))
