@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from vitac.station.description import Procedure, Release, StagePose
+from vitac.station.description import Procedure, Release, StagePose, StationTask
 from vitac.station.devices.stage import DeviceFault, Pose
 from vitac.station.eyes import Eyes, Finger, _free
 from vitac.station.guard import StopCause
@@ -52,13 +52,16 @@ class Stage:
 
 @pytest.mark.parametrize(
     ("task", "way"),
-    [("peg-insertion", [(3.0, 1.0, -20.0, 2.0)]), ("lock-opening", [(3.0, 1.0, -40.0, 2.0), (75.0, 0.0, -40.0, 2.0)])],
+    [
+        (StationTask.PEG, [(3.0, 1.0, -20.0, 2.0)]),
+        (StationTask.LOCK, [(3.0, 1.0, -40.0, 2.0), (75.0, 0.0, -40.0, 2.0)]),
+    ],
 )
 def test_what_a_killed_agent_left_pressed_onto_something_is_taken_away(
-    task: str, way: list[tuple[float, float, float, float]]
+    task: StationTask, way: list[tuple[float, float, float, float]]
 ) -> None:
-    places = {"hole": StagePose(x_mm=0, y_mm=0, z_mm=-40), "garage": StagePose(x_mm=75, y_mm=0, z_mm=-40)}
-    procedure = Procedure(task=task, shape="any", safe_z_mm=-20, release="automatic", **places)
+    hole, garage = StagePose(x_mm=0, y_mm=0, z_mm=-40), StagePose(x_mm=75, y_mm=0, z_mm=-40)
+    procedure = Procedure(task=task, shape="any", hole=hole, garage=garage, safe_z_mm=-20, release=Release.AUTOMATIC)
     stage: Any = Stage(Pose(3.0, 1.0, -36.0, 2.0))
     description: Any = SimpleNamespace(limits=SimpleNamespace(speed_mm_s=3.0))
     _free(stage, description, procedure)

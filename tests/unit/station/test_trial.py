@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from threading import Event
+from typing import Any
 
 import numpy as np
 import pytest
@@ -121,14 +122,19 @@ def test_starts_over_the_hole_are_not_blocked(play: Play, monkeypatch: pytest.Mo
 def test_peg_is_fetched_again_where_the_zero_of_the_forces_has_drifted(
     play: Play, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fetched, has_zero = list[Arm](), iter((False, True))
-    fetch = Arm.fetch
+    has_zero, opened = iter((False, True)), list[Arm]()
+    open_in_garage = Arm.open_in_garage
+
+    def note(arm: Arm, *beside_mm: Any) -> None:
+        opened.append(arm)
+        open_in_garage(arm, *beside_mm)
+
     monkeypatch.setattr(trial, "has_zero", lambda _: next(has_zero))
-    monkeypatch.setattr(Arm, "fetch", lambda arm: fetch(arm) or fetched.append(arm))
+    monkeypatch.setattr(Arm, "open_in_garage", note)
     attempt, _ = play(nowhere)
     assert attempt.outcome.counts, attempt.reason
-    assert len(fetched) >= 1
     assert next(has_zero, None) is None
+    assert len(opened) >= 1
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
+import cv2
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -15,6 +16,8 @@ from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, Epi
 from vitac.evaluator.logs.log import LogHeader, write_log
 from vitac.station import video
 from vitac.station.overview import Overview, read_code, write_code
+from vitac.station.twin.grasp import Mounted
+from vitac.station.twin.overview import OverviewTwin
 from vitac.station.verification import verify_video
 from vitac.station.video import StoredFrame, VideoRecorder, encode_frame, find_first_link, read_frames
 
@@ -176,6 +179,15 @@ def test_full_disk_stops_the_station_in_a_sentence_and_leaves_no_video(
         "played again."
     ]
     assert recorder.video is None
+
+
+@pytest.mark.parametrize("code", ["68DBD700AEDAD707", "120E96624732A7BE"])
+def test_code_is_read_that_a_detector_of_opencv_never_finds(tmp_path: Path, code: str) -> None:
+    write_code(code, tmp_path / "code.png")
+    stage: Any = SimpleNamespace(axes=lambda: (0.0, 0.0, -40.0, 0.0))
+    picture = OverviewTwin(stage, lambda: True, Mounted(), tmp_path / "code.png")()
+    assert not cv2.QRCodeDetector().detectAndDecode(picture)[0]
+    assert read_code(picture) == code
 
 
 def test_code_is_read_from_a_picture_and_nothing_from_noise(tmp_path: Path) -> None:
