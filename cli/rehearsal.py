@@ -36,13 +36,8 @@ def rehearse_submission(
     from vitac.evaluator.submission.manifest import load_manifest
     from vitac.evaluator.submission.sources import staged, submission_digest
     from vitac.evaluator.tracks import load_track
-    from vitac.station.rehearsal import (
-        RehearsalReport,
-        find_procedure,
-        find_station_task,
-        found_station,
-        rehearse,
-    )
+    from vitac.station.eyes import find_procedure
+    from vitac.station.rehearsal import RehearsalReport, find_station_task, found_station, rehearse
     from vitac.station.trials import TrialPlayer
 
     require_extra("station", *STATION_MODULES, user="A station")

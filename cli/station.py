@@ -133,9 +133,9 @@ def identify(
     """Touch plate and hole, and estimate frictions, gel, cameras and places, with 95 % intervals."""
     import yaml
     from vitac.station.description import StationTask, read_description
-    from vitac.station.eyes import open_station
+    from vitac.station.eyes import find_procedure, open_station
     from vitac.station.identification.station import identify
-    from vitac.station.rehearsal import StationRefused, find_procedure, refuse_wrong_devices
+    from vitac.station.rehearsal import StationRefused, refuse_wrong_devices
 
     if out.exists():
         raise typer.BadParameter(f"{out} exists; name a new file.", param_hint="--out")

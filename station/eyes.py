@@ -247,6 +247,17 @@ class NoProcedure(VitacError):
     """The station's file says nothing of trials; add `procedure` to it."""
 
 
+def find_procedure(description: StationDescription) -> Procedure:
+    """Return how trials are played on a station.
+
+    Raises:
+        NoProcedure: its file does not say it.
+    """
+    if description.procedure is None:
+        raise NoProcedure(f"The file of {description.name} has no `procedure`: add where hole and garage are.")
+    return description.procedure
+
+
 @dataclass(kw_only=True)
 class OpenStation:
     """A station whose guard and eyes are at work.
@@ -281,8 +292,7 @@ def open_station(description: StationDescription) -> Iterator[OpenStation]:
         DeviceFault: a device does not do what it is asked for.
         NoProcedure: the file has none.
     """
-    if description.procedure is None:
-        raise NoProcedure(f"The file of {description.name} has no `procedure`: add where hole and garage are.")
+    procedure = find_procedure(description)
     with ExitStack() as stack:
         patience, at = description.patience, description.force_torque
         stage = stack.enter_context(LinearStage(description.stage.port, patience=patience))
@@ -301,7 +311,7 @@ def open_station(description: StationDescription) -> Iterator[OpenStation]:
             stack.enter_context(overview)
         yield OpenStation(
             description=description,
-            procedure=description.procedure,
+            procedure=procedure,
             stage=stage,
             gripper=gripper,
             guard=guard,

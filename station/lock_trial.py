@@ -20,7 +20,7 @@ _LIFTED_MM: Final = 4.0
 class LockTrial(StationTrial):
     """Attempts at one episode of the lock task.
 
-    The key is taken from its garage in front of the lock, gripped anew each time, and slid in to the start. Places are
+    The key is taken from its garage in front of the lock, gripped again each time, and slid in to the start. Places are
     those of the key from where `hole` is, as a list has them; the gripper holds it beside the middle of its handle, and
     the policy knows neither.
     """

@@ -22,7 +22,8 @@ from vitac.evaluator.submission.manifest import load_manifest
 from vitac.evaluator.tracks import Episode, Track
 
 from .check import check_station
-from .description import Procedure, StationDescription, StationTask, TwinMark, read_description
+from .description import StationDescription, StationTask, TwinMark, read_description
+from .eyes import find_procedure
 from .outcome import TrialOutcome
 from .trial import Attempt
 from .trials import TrialPlayer
@@ -230,17 +231,6 @@ def rehearse(
             trials.append(TrialRecord.from_attempts(episode, attempts))
             on_trial(trials[-1])
     return trials
-
-
-def find_procedure(description: StationDescription) -> Procedure:
-    """Return how trials are played on a station.
-
-    Raises:
-        StationRefused: its file has none.
-    """
-    if description.procedure is None:
-        raise StationRefused(f"The file of {description.name} has no `procedure`: add where hole and garage are.")
-    return description.procedure
 
 
 def find_station_task(tasks: Collection[str]) -> StationTask:

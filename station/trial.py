@@ -148,7 +148,7 @@ class StationTrial:
         return x_mm, y_mm, theta_deg
 
     def play(self) -> Attempt:
-        """Play it, and lift the peg off the plate unless the station is stopped."""
+        """Play it, and take the part away unless the station is stopped."""
         attempt = self._attempt = Attempt(start=self._episode.offset, action_numbers=len(self._task.actions))
         try:
             attempt.outcome = self._play()
@@ -232,14 +232,16 @@ class StationTrial:
         own, episodes = self._episode, self._task.episodes
         others = (*episodes[own.number :], *episodes[: own.number])
         starts = dict.fromkeys((own.offset, *(each.offset for each in others if each.shape == own.shape)))
-        for offset in islice(starts, _STARTS):
+        tried = tuple(islice(starts, _STARTS))
+        for number, offset in enumerate(tried):
+            if number:
+                self._operator.wait_while_paused("The start is not blocked: the next one of the list takes its place.")
             self._attempt.start, self._start = offset, self._find_start(offset)
             self._go_beside()
             if (contact_mm := self._descend()) is not None:
                 return contact_mm
-            self._operator.wait_while_paused("The start is not blocked: the next one of the list takes its place.")
         timeout_s = self._station.procedure.descent_timeout_s
-        raise NotBlocked(f"At none of {_STARTS} starts of the list a gel felt the plate within {timeout_s} s.")
+        raise NotBlocked(f"At none of {len(tried)} starts of the list a gel felt the plate within {timeout_s} s.")
 
     def _grasp(self) -> None:
         """Hold the peg at the height beside the hole.

@@ -120,7 +120,7 @@ _MIDDLE_PX: Final = np.array((160.0, 120.0))
 _WIDTH, _HEIGHT = 448, 338
 _NO_BODY: Final = (np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
 _UNMOVED_M: Final = 1e-6
-"""A marker moves by a hundredth of a pixel then."""
+"""A marker moves by less than a fiftieth of a pixel then."""
 _PICTURE_ROWS: Final = 240.0
 _AGES_PER_H: Final = 100
 """So often the light is another one."""

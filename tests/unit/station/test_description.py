@@ -5,8 +5,10 @@ from pathlib import Path
 
 import pytest
 from vitac.evaluator.strict_model import DocumentRejected, parse_yaml
+from vitac.station import lock_trial, trial, trials
 from vitac.station.check import check_procedure
-from vitac.station.description import StationDescription, read_description
+from vitac.station.description import StationDescription, StationTask, make_station_track, read_description
+from vitac.station.guard import KEY_PULL_MM, KEY_X_RANGE_MM, KEY_Z_RANGE_MM, LARGEST_RADIUS_MM, LARGEST_THETA_DEG
 from vitac.station.twin.laboratory import TwinStation
 
 
@@ -30,6 +32,27 @@ def test_station_in_the_documentation_can_play(repository: Path) -> None:
     assert described.stage.serial_number == "STAGE-1"
     assert described.procedure is not None
     assert list(check_procedure(described.procedure, described.limits)) == []
+
+
+@pytest.mark.parametrize(
+    ("task", "shape", "numbers"),
+    [
+        (StationTask.PEG, "cuboid", (trial._SUCCESS_DEPTH_MM, LARGEST_RADIUS_MM, LARGEST_THETA_DEG)),
+        (StationTask.LOCK, "key1", (lock_trial._LIFTED_MM, KEY_PULL_MM, *KEY_X_RANGE_MM, *KEY_Z_RANGE_MM)),
+        (
+            StationTask.FUSION,
+            "hexagon",
+            (trials._DEPTH_MM, *trials._NEAR, *trials._RANGE, -trials._LOWEST_MM, trials._HIGHEST_MM),
+        ),
+    ],
+)
+def test_track_of_a_station_says_when_a_trial_succeeds_there(
+    task: StationTask, shape: str, numbers: tuple[float, ...]
+) -> None:
+    (own,) = make_station_track(shape, 2, starts=3, task=task)["tasks"].values()
+    said = set(map(float, re.findall(r"-?[0-9]+(?:\.[0-9]+)?", own["success_rule"])))
+    assert {*numbers, float(own["max_steps"])} <= said
+    assert own["notes"][0] == f"3 starts with the {shape}, 2 times each. They are not observed."
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from vitac.station import agent, trials
 from vitac.station.agent import StationShard, StationShards, TrialNotPlayed, make_record
 from vitac.station.description import Procedure, StationDescription, StationTask, TwinClass, TwinMark
 from vitac.station.devices.stage import DeviceNotFound, Pose
+from vitac.station.eyes import NoProcedure
 from vitac.station.operators import Operator
 from vitac.station.outcome import ATTEMPTS, TrialOutcome
 from vitac.station.rehearsal import RehearsalReport, StationRefused, TrialRecord, find_station_task, rehearse
@@ -201,7 +202,7 @@ def test_a_rehearsal_needs_a_submission_to_what_is_mounted(repository: Path) -> 
     with pytest.raises(StationRefused, match=sentence):
         rehearse(TrialPlayer(description=LAB, folder=folder), folder, load_track("track_1"))
     bare = LAB.model_copy(update={"procedure": None})
-    with pytest.raises(StationRefused, match="The file of lab has no `procedure`"):
+    with pytest.raises(NoProcedure, match="The file of lab has no `procedure`"):
         rehearse(TrialPlayer(description=bare, folder=folder), folder, load_track("track_1"))
     assert find_station_task(("lock-opening",)) is StationTask.LOCK
     with pytest.raises(StationRefused, match="the submission plays explore"):
