@@ -148,26 +148,34 @@ def choose_shape(
     return choice(env_id, SHAPE, given, type(shapes[0]))
 
 
-def numbers(env_id: str, option: str, value: Any, count: int, expected: str) -> list[float]:
+def numbers(env_id: str, option: str, value: Any, ranges: Sequence[tuple[float, float]], expected: str) -> list[float]:
     """Return the finite numbers of an option.
 
     Args:
         env_id: for the message.
         option: its name.
         value: as given.
-        count: how many numbers it must be.
+        ranges: lowest and highest value of each number.
         expected: what it must be, for the message.
 
     Raises:
-        ResetOptionsError: it is not this number of finite numbers.
+        ResetOptionsError: it is not as many finite numbers within their ranges.
     """
     try:
         read = [float(number) for number in value]
     except (TypeError, ValueError):
         read = []
-    if len(read) != count or not all(isfinite(number) for number in read):
+    is_usable = len(read) == len(ranges) and all(
+        isfinite(number) and low <= number <= high for number, (low, high) in zip(read, ranges, strict=True)
+    )
+    if not is_usable:
         raise refusal(env_id, option, value, expected)
     return read
+
+
+def either_way(*largest: float) -> tuple[tuple[float, float], ...]:
+    """Return the ranges of numbers that may be as large as these, either way."""
+    return tuple((-each, each) for each in largest)
 
 
 def refusal(env_id: str, option: str, value: Any, expected: str) -> ResetOptionsError:

@@ -129,6 +129,7 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 4}  # type: ignore[misc]
     task: ClassVar[TaskDefinition]
     settings_type: ClassVar[type[Any]]
+    scene_type: ClassVar[type[Any]]
     # Closed set of the shapes that `reset` can draw; a task without shapes has none.
     shape_type: ClassVar[type[StrEnum] | None] = None
     # Published training ranges of settings.
@@ -402,8 +403,24 @@ class TactileTaskEnv(gymnasium.Env[Observation, NDArray[np.float32]], Generic[Sc
         """Return all rigid parts that an episode may have, in a fixed order."""
 
     @abstractmethod
-    def _start(self, options: dict[str, Any], random: np.random.Generator) -> SceneT:
+    def choose_start(self, options: Mapping[str, Any], random: np.random.Generator, settings: SettingsT) -> Any:
+        """Return the start that the options of `reset` give; what they leave open is drawn.
+
+        Args:
+            options: of the task; none is unknown.
+            random: the episode's generator.
+            settings: of the episode, before the randomization draws any.
+
+        Raises:
+            ResetOptionsError: an option is not usable.
+        """
+
+    def _start(self, options: Mapping[str, Any], random: np.random.Generator) -> SceneT:
         """Build the scene of a new episode, with the gripper still open."""
+        start = self.choose_start(options, random, self._settings_with_draws())
+        settings = self._settings_of_episode(random)
+        scene: SceneT = self.scene_type(start=start, meshes=self._meshes, settings=settings, clocks=self._clocks)
+        return scene
 
     @abstractmethod
     def _error(self) -> float:

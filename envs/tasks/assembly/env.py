@@ -1,6 +1,6 @@
 """`ViTac/Assembly-v1`: fetch a part from a tray, put it into a socket and turn it until it locks."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from math import radians
 from typing import Any, ClassVar
 
@@ -11,7 +11,7 @@ from ...fem.model.mesh import SurfaceMesh
 from ...geometry.bayonet import SOCKET_X_MM, TURN_DEG, tray_and_socket
 from ...scene.perspective import ActionArray, FloatArray
 from ..definition import Flags, surface_moved_too_far
-from ..settings import SHAPE, choose_shape, numbers, refusal
+from ..settings import SHAPE, choose_shape, either_way, numbers
 from ..task_env import Info, Observation, TactileTaskEnv
 from .definition import TASK, AssemblyStage
 from .scene import (
@@ -66,16 +66,31 @@ class AssemblyEnv(TactileTaskEnv[AssemblyScene, AssemblySettings]):
 
     task: ClassVar = TASK
     settings_type: ClassVar = AssemblySettings
+    scene_type: ClassVar = AssemblyScene
     shape_type: ClassVar = HeadShape
     option_names: ClassVar[tuple[str, ...]] = (SHAPE, OFFSET)
 
     def _solids(self) -> list[SurfaceMesh]:
         return [*map(part_mesh, HeadShape), tray_and_socket()]
 
-    def _start(self, options: dict[str, Any], random: np.random.Generator) -> AssemblyScene:
-        settings = self._settings_of_episode(random)
-        start = choose_start(options, random, env_id=self.env_id, shapes=self._shapes, settings=settings)
-        return AssemblyScene(start=start, meshes=self._meshes, settings=settings, clocks=self._clocks)
+    def choose_start(
+        self, options: Mapping[str, Any], random: np.random.Generator, settings: AssemblySettings
+    ) -> AssemblyStart:
+        """Return the start that the options give; what they leave open is drawn: shape, then x, y and theta."""
+        shape, wanted = choose_shape(self.env_id, options, self._shapes, random), options.get(OFFSET)
+        if wanted is None:
+            x, y, theta = random.uniform(-1.0, 1.0, 3).tolist()
+            return AssemblyStart(
+                shape=shape,
+                x_mm=x * settings.random_x_mm,
+                y_mm=y * settings.random_y_mm,
+                theta_deg=theta * settings.random_theta_deg,
+            )
+        expected = (
+            f"expected (x mm, y mm, theta deg) within {', '.join(f'{value:g}' for value in LARGEST_MM_DEG)} either way"
+        )
+        x_mm, y_mm, theta_deg = numbers(self.env_id, OFFSET, wanted, either_way(*LARGEST_MM_DEG), expected)
+        return AssemblyStart(shape=shape, x_mm=x_mm, y_mm=y_mm, theta_deg=theta_deg)
 
     def _error(self) -> float:
         """Return the stages that are left, the next one in parts."""
@@ -122,44 +137,6 @@ class AssemblyEnv(TactileTaskEnv[AssemblyScene, AssemblySettings]):
             "grip_force_n": scene.grasped.grip_force_n(),
             "is_success": flags.is_success,
         }
-
-
-def choose_start(
-    options: dict[str, Any],
-    random: np.random.Generator,
-    *,
-    env_id: str,
-    shapes: Sequence[HeadShape],
-    settings: AssemblySettings,
-) -> AssemblyStart:
-    """Return the start given by the options; what they leave open is drawn: shape, then x, y and theta.
-
-    Args:
-        options: may hold `shape` and `offset_mm_deg`.
-        random: the episode's generator.
-        env_id: for messages.
-        shapes: that may be drawn.
-        settings: of the task.
-
-    Raises:
-        ResetOptionsError: an option is not a known shape or not a usable offset.
-    """
-    shape, wanted = choose_shape(env_id, options, shapes, random), options.get(OFFSET)
-    if wanted is None:
-        x, y, theta = random.uniform(-1.0, 1.0, 3).tolist()
-        return AssemblyStart(
-            shape=shape,
-            x_mm=x * settings.random_x_mm,
-            y_mm=y * settings.random_y_mm,
-            theta_deg=theta * settings.random_theta_deg,
-        )
-    expected = (
-        f"expected (x mm, y mm, theta deg) within {', '.join(f'{value:g}' for value in LARGEST_MM_DEG)} either way"
-    )
-    x_mm, y_mm, theta_deg = numbers(env_id, OFFSET, wanted, 3, expected)
-    if any(abs(value) > largest for value, largest in zip((x_mm, y_mm, theta_deg), LARGEST_MM_DEG, strict=True)):
-        raise refusal(env_id, OFFSET, wanted, expected)
-    return AssemblyStart(shape=shape, x_mm=x_mm, y_mm=y_mm, theta_deg=theta_deg)
 
 
 # Heights of the part's lower end that the expert goes for, above the plate; it is in the opening below the third one.

@@ -1,6 +1,7 @@
 """`ViTac/LockOpening2024-v1`: push a key into its lock and lift it; the key starts outside."""
 
 from dataclasses import dataclass, field
+from math import inf
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,9 +13,9 @@ from ...scene.perspective import ActionArray, longest_action
 from ...tactile.markers import MarkerSettings
 from ..definition import Flags
 from ..lock_opening.definition import CEILING_Z_M, LIFTED_Z_M, LockState, judge_flags, mean_corner
-from ..lock_opening.env import LockOpeningEnv, choose_start
+from ..lock_opening.env import OFFSET, LockOpeningEnv
 from ..lock_opening.scene import FloatArray, KeyOffset, LockOpeningSettings, LockScene, LockStart
-from ..settings import numbers, require
+from ..settings import either_way, numbers, require
 from ..task_env import Info, Observation
 from .definition import LOCK_TASK, SUCCESS_Z_RANGE_M
 from .peg_insertion import GEL_FRICTION
@@ -73,16 +74,6 @@ class LockScene2024(LockScene):
         return np.array([LOCKS[start.shape].length_mm + start.offset.x_mm, 0.0, 0.0]) * 1e-3
 
 
-def read_offset(env_id: str, value: Any) -> KeyOffset:
-    """Return the offset that the option gives, clipped as in 2024: x to 0 to 10 mm, y and z to 0.
-
-    Raises:
-        ResetOptionsError: it is not three numbers.
-    """
-    x_mm, _, _ = numbers(env_id, "offset_mm", value, 3, "expected (x, y, z) in mm")
-    return KeyOffset(x_mm=min(max(x_mm, 0.0), LARGEST_X_MM), y_mm=0.0, z_mm=0.0)
-
-
 def alignment_error(state: LockState) -> float:
     """Return the error e of the reward: 4 per mm2 of both teeth's squared distance from where they should be.
 
@@ -135,24 +126,18 @@ class LockOpening2024Env(LockOpeningEnv):
 
     task: ClassVar = LOCK_TASK
     settings_type: ClassVar = LockOpening2024Settings
+    scene_type: ClassVar = LockScene2024
     training_ranges: ClassVar = {
         name: bounds for name, bounds in LockOpeningEnv.training_ranges.items() if name != "physics.gel_friction"
     }
 
-    def _start(self, options: dict[str, Any], random: np.random.Generator) -> LockScene:
-        settings: Any = self.settings
-        start = choose_start(
-            options,
-            random,
-            env_id=self.env_id,
-            shapes=self._shapes,
-            x_mm=settings.random_x_mm,
-            jitter_mm=settings.jitter_mm,
-            jitter_z_mm=settings.jitter_z_mm,
-            read_offset=read_offset,
-        )
-        drawn = self._settings_of_episode(random)
-        return LockScene2024(start=start, meshes=self._meshes, settings=drawn, clocks=self._clocks)
+    def _read_offset(self, value: Any) -> KeyOffset:
+        """Return the offset that the option gives, clipped as in 2024: x to 0 to 10 mm, y and z to 0."""
+        x_mm, _, _ = numbers(self.env_id, OFFSET, value, either_way(inf, inf, inf), "expected (x, y, z) in mm")
+        return KeyOffset(x_mm=min(max(x_mm, 0.0), LARGEST_X_MM), y_mm=0.0, z_mm=0.0)
+
+    def _largest_jitter_mm(self, settings: Any) -> tuple[float, float]:
+        return settings.jitter_mm, settings.jitter_z_mm
 
     def _error(self) -> float:
         return alignment_error(self.task_scene.state())

@@ -25,7 +25,7 @@ from ...scene.grasped_scene import PhysicsSettings
 from ..definition import EndReason, Flags
 from ..insertion.interface import PegOffset
 from ..insertion.scene import InsertionState
-from ..peg_insertion.env import PegInsertionEnv, choose_start, has_left_range, is_deep, place_profile
+from ..peg_insertion.env import PegInsertionEnv, has_left_range, is_deep, place_profile
 from ..peg_insertion.scene import PegInsertionSettings, PegScene
 from ..settings import require
 from ..task_env import Info
@@ -128,6 +128,7 @@ class PegInsertion2024Env(PegInsertionEnv):
 
     task: ClassVar = PEG_TASK
     settings_type: ClassVar = PegInsertion2024Settings
+    scene_type: ClassVar = PegScene2024
     shape_type: ClassVar = PegShape2024
     training_ranges: ClassVar = {
         name: bounds for name, bounds in PegInsertionEnv.training_ranges.items() if name != "physics.gel_friction"
@@ -137,19 +138,8 @@ class PegInsertion2024Env(PegInsertionEnv):
         meshes, clearance_mm = self._meshes, self.settings.clearance_mm
         return [mesh for shape in PegShape2024 for mesh in part_meshes(meshes, shape, clearance_mm)]
 
-    def _start(self, options: dict[str, Any], random: np.random.Generator) -> PegScene:
-        settings = self._settings_with_draws()
-        start = choose_start(
-            options,
-            random,
-            env_id=self.env_id,
-            shapes=self._shapes,
-            blocked=partial(is_blocked, clearance_mm=settings.clearance_mm),
-            xy_mm=settings.random_xy_mm,
-            theta_deg=settings.random_theta_deg,
-        )
-        drawn = self._settings_of_episode(random)
-        return PegScene2024(start=start, meshes=self._meshes, settings=drawn, clocks=self._clocks)
+    def _is_blocked(self, shape: Any, offset: PegOffset, settings: PegInsertionSettings) -> bool:
+        return is_blocked(shape, offset, settings.clearance_mm)
 
     def _judge(self) -> Flags:
         settings = self.settings

@@ -1,5 +1,6 @@
 """`ViTac/Explore-v1`: find by touch which of six ends a held block has."""
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -7,10 +8,10 @@ import numpy as np
 from ...fem.model.mesh import SurfaceMesh
 from ...scene.perspective import ActionArray
 from ..definition import Flags, surface_moved_too_far
-from ..settings import SHAPE, choice, choose_shape, numbers, refusal
+from ..settings import SHAPE, choice, choose_shape, either_way, numbers
 from ..task_env import Info, Observation, TactileTaskEnv
 from .definition import REACH_MM, TASK, EndShape
-from .scene import EndPose, ExploreScene, ExploreSettings, block_mesh, pin_mesh
+from .scene import EndPose, ExploreScene, ExploreSettings, ExploreStart, block_mesh, pin_mesh
 
 END_POSE = "end_pose_mm_deg"
 LARGEST_MM_DEG = (3.0, 3.0, 30.0)
@@ -44,6 +45,7 @@ class ExploreEnv(TactileTaskEnv[ExploreScene, ExploreSettings]):
 
     task: ClassVar = TASK
     settings_type: ClassVar = ExploreSettings
+    scene_type: ClassVar = ExploreScene
     shape_type: ClassVar = EndShape
     option_names: ClassVar[tuple[str, ...]] = (SHAPE, END_POSE)
 
@@ -51,8 +53,10 @@ class ExploreEnv(TactileTaskEnv[ExploreScene, ExploreSettings]):
         straight = EndPose(x_mm=0.0, y_mm=0.0, angle_deg=0.0)
         return [*(block_mesh(shape, straight) for shape in EndShape), pin_mesh()]
 
-    def _start(self, options: dict[str, Any], random: np.random.Generator) -> ExploreScene:
-        settings = self._settings_of_episode(random)
+    def choose_start(
+        self, options: Mapping[str, Any], random: np.random.Generator, settings: ExploreSettings
+    ) -> ExploreStart:
+        """Return the start that the options give; all is drawn also where they do."""
         drawn_one, given = choose_shape(self.env_id, {}, self._shapes, random), options.get(SHAPE)
         shape = drawn_one if given is None else choice(self.env_id, SHAPE, given, EndShape)
         x, y, angle = random.uniform(-1.0, 1.0, 3).tolist()
@@ -63,11 +67,8 @@ class ExploreEnv(TactileTaskEnv[ExploreScene, ExploreSettings]):
         expected = (
             f"expected (x mm, y mm, angle deg) within {xy_largest_mm:g} mm and {largest_deg:g} degrees either way"
         )
-        values = numbers(self.env_id, END_POSE, wanted, 3, expected)
-        if (np.abs(values) > LARGEST_MM_DEG).any():
-            raise refusal(self.env_id, END_POSE, wanted, expected)
-        end = EndPose(x_mm=values[0], y_mm=values[1], angle_deg=values[2])
-        return ExploreScene(shape=shape, end=end, meshes=self._meshes, settings=settings, clocks=self._clocks)
+        x_mm, y_mm, angle_deg = numbers(self.env_id, END_POSE, wanted, either_way(*LARGEST_MM_DEG), expected)
+        return ExploreStart(shape=shape, end=EndPose(x_mm=x_mm, y_mm=y_mm, angle_deg=angle_deg))
 
     def _error(self) -> float:
         return self.task_scene.brier_score()

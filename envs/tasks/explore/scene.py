@@ -115,6 +115,14 @@ class EndPose:
         return np.column_stack([cosine * x - sine * y + self.x_mm, sine * x + cosine * y + self.y_mm])
 
 
+@dataclass(frozen=True, kw_only=True)
+class ExploreStart:
+    """Which end the block has, and where."""
+
+    shape: EndShape
+    end: EndPose
+
+
 def block_mesh(shape: EndShape, pose: EndPose) -> SurfaceMesh:
     """Return the block with its end, whose lower face is z = 0; origin below the middle of the block."""
     outline_mm = pose.place(_OUTLINES_MM[shape])
@@ -144,10 +152,8 @@ class ExploreScene:
         confidences: of the last answer in the order of `EndShape`, shape [6]; all equal before the first.
     """
 
-    def __init__(
-        self, *, shape: EndShape, end: EndPose, meshes: Meshes, settings: ExploreSettings, clocks: Clocks
-    ) -> None:
-        self.shape, self._end, self._settings = shape, end, settings
+    def __init__(self, *, start: ExploreStart, meshes: Meshes, settings: ExploreSettings, clocks: Clocks) -> None:
+        self.shape, self._end, self._settings = start.shape, start.end, settings
         self.env_steps = 0
         self.confidences = np.full(len(EndShape), 1.0 / len(EndShape))
         self._position_mm = np.zeros(2)
@@ -162,7 +168,7 @@ class ExploreScene:
         self.grasped = GraspedScene(
             gripper=Gripper(mounts=UPRIGHT_MOUNTS, gel=meshes.gel(), pose=pose),
             held=RigidBody(
-                mesh=block_mesh(shape, end),
+                mesh=block_mesh(start.shape, start.end),
                 rotation=np.eye(3),
                 translation_m=np.array([0.0, 0.0, lowest_mm]) * 1e-3,
                 density_kg_m3=settings.physics.rigid_density_kg_m3,

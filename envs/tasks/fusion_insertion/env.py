@@ -20,7 +20,7 @@ from ..insertion.env import InsertionEnv, way_to_the_hole
 from ..insertion.interface import is_beyond
 from ..insertion.scene import InsertionState, compute_flags, training_ranges
 from ..quantities import drawn_settings
-from ..settings import SHAPE, choice, numbers, refusal
+from ..settings import SHAPE, choice, either_way, numbers, refusal
 from ..task_env import Info, Observation
 from .definition import TASK
 from .scene import (
@@ -36,7 +36,6 @@ from .scene import (
     peg_mesh,
 )
 
-ENV_ID = TASK.env_id
 START = "start"
 
 
@@ -144,16 +143,31 @@ class FusionInsertionEnv(InsertionEnv[FusionScene, FusionInsertionSettings]):
         pegs = [peg_mesh(self._meshes, target) for target in Target]
         return [*pegs, base_mesh(self._meshes, self.settings.clearance_mm)]
 
-    def _start(self, options: dict[str, Any], random: np.random.Generator) -> FusionScene:
+    def choose_start(
+        self, options: Mapping[str, Any], random: np.random.Generator, settings: FusionInsertionSettings
+    ) -> FusionStart:
+        """Return the start that the options give, or draw one: x, y, theta, z, and then the side.
+
+        `start` has x and y from the middle between the holes [mm], theta [deg], z above the lowest start [mm], and 1
+        for left or 0 for right; `shape` must then be that of the side, or else fixes the side of a drawn start.
+        """
+        wanted = options.get(START)
+        shape = None if options.get(SHAPE) is None else choice(self.env_id, SHAPE, options[SHAPE], FusionShape)
+        if wanted is not None:
+            return _given(self.env_id, wanted, shape)
+        x, y, theta = random.uniform(-1.0, 1.0, 3).tolist()
+        lowest_mm, highest_mm = settings.random_z_mm
+        z = random.uniform(lowest_mm, highest_mm)
+        side = Target.LEFT if random.random() < 0.5 else Target.RIGHT
+        if shape is None and side.shape not in self._shapes:
+            (shape,) = self._shapes
+        target = side if shape is None else Target.from_shape(shape)
+        xy_mm = settings.random_xy_mm
+        return _placed((x * xy_mm, y * xy_mm, theta * settings.random_theta_deg, z), target)
+
+    def _start(self, options: Mapping[str, Any], random: np.random.Generator) -> FusionScene:
         settings = self.settings
-        start = choose_start(
-            options,
-            random,
-            shapes=self._shapes,
-            xy_mm=settings.random_xy_mm,
-            theta_deg=settings.random_theta_deg,
-            z_mm=settings.random_z_mm,
-        )
+        start = self.choose_start(options, random, settings)
         if settings.random_physics:
             drawn = drawn_settings(settings, self.training_ranges, random)
         else:
@@ -229,55 +243,18 @@ def choose_rig(
     )
 
 
-def choose_start(
-    options: dict[str, Any],
-    random: np.random.Generator,
-    *,
-    shapes: Sequence[FusionShape] = tuple(FusionShape),
-    xy_mm: float,
-    theta_deg: float,
-    z_mm: tuple[float, ...],
-) -> FusionStart:
-    """Return the start given by the options, or draw one: x, y, theta, z, and then the side.
-
-    Args:
-        options: may hold `start`: x and y from the middle between the holes [mm], theta [deg], z above the lowest
-            start [mm], and 1 for left or 0 for right; and `shape`, which must then be that of the side, or else fixes
-            the side of a drawn start.
-        random: the episode's generator.
-        shapes: that may be drawn.
-        xy_mm: largest |x| and |y| of a drawn start.
-        theta_deg: largest |theta| of a drawn start.
-        z_mm: smallest and largest z of a drawn start.
-
-    Raises:
-        ResetOptionsError: the option is no usable start.
-    """
-    wanted = options.get(START)
-    shape = None if options.get(SHAPE) is None else choice(ENV_ID, SHAPE, options[SHAPE], FusionShape)
-    if wanted is not None:
-        return _given(wanted, shape)
-    x, y, theta = random.uniform(-1.0, 1.0, 3).tolist()
-    z = random.uniform(z_mm[0], z_mm[1])
-    side = Target.LEFT if random.random() < 0.5 else Target.RIGHT
-    if shape is None and side.shape not in shapes:
-        (shape,) = shapes
-    target = side if shape is None else Target.from_shape(shape)
-    return _placed((x * xy_mm, y * xy_mm, theta * theta_deg, z), target)
-
-
-def _given(value: Any, shape: FusionShape | None) -> FusionStart:
+def _given(env_id: str, value: Any, shape: FusionShape | None) -> FusionStart:
     expected = (
         f"expected (x mm, y mm, theta deg, z mm, left 1 or right 0) with |x| of at most {LARGEST_X_MM:g}, |y| of at "
         f"most {_LARGEST_START_Y_MM:g}, |theta| of at most {LARGEST_THETA_DEG:g}, z of 0 to {_LARGEST_START_Z_MM:g}"
     )
-    x, y, theta, z, left = numbers(ENV_ID, START, value, 5, expected)
-    inside = abs(x) <= LARGEST_X_MM and abs(y) <= _LARGEST_START_Y_MM and abs(theta) <= LARGEST_THETA_DEG
-    if not (inside and 0.0 <= z <= _LARGEST_START_Z_MM and left in (0.0, 1.0)):
-        raise refusal(ENV_ID, START, value, expected)
+    beside = either_way(LARGEST_X_MM, _LARGEST_START_Y_MM, LARGEST_THETA_DEG)
+    x, y, theta, z, left = numbers(env_id, START, value, (*beside, (0.0, _LARGEST_START_Z_MM), (0.0, 1.0)), expected)
+    if left not in (0.0, 1.0):
+        raise refusal(env_id, START, value, expected)
     target = Target.LEFT if left else Target.RIGHT
     if shape is not None and target is not Target.from_shape(shape):
-        raise refusal(ENV_ID, SHAPE, shape.value, f"expected {target.shape}, which is the peg of the start's side")
+        raise refusal(env_id, SHAPE, shape.value, f"expected {target.shape}, which is the peg of the start's side")
     return _placed((x, y, theta, z), target)
 
 

@@ -1,6 +1,6 @@
 """Scene of the fusion task: settings, parts, a peg held by two gels above a base with two holes, and the rig."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -20,36 +20,24 @@ from ...geometry.bases import (
     hexagon_peg_surface,
 )
 from ...geometry.pegs import PegShape, bottom_vertices, peg_surface
-from ...scene.grasped_scene import Clocks, PhysicsSettings
-from ...tactile.markers import MarkerSettings
+from ...scene.grasped_scene import Clocks
 from ...vision.camera import DepthMode, RigCamera, Sight
 from ...vision.look import CHALLENGE_LOOK, Look, Rectangle, build_surroundings, draw_clutter
 from ...vision.pinhole import RigShift, colour_camera_pose
 from ...vision.rasterizer import Body, Label
-from ..insertion.interface import GRIPPER_X, GRIPPER_Z, PegOffset
-from ..insertion.scene import InsertionScene, Parts, check_friction, check_settings, lay
+from ..insertion.interface import PegOffset
+from ..insertion.scene import InsertionScene, InsertionSettings, Parts, check_friction, check_settings, lay
 from ..quantities import check_quantities
 from ..settings import require
 from .definition import CAMERA_QUANTITIES, CAMERA_TURN, CAMERA_X, CAMERA_Z, PICTURE_DELAY, TASK
 
 
 @dataclass(frozen=True, kw_only=True)
-class FusionInsertionSettings:
-    """What the task leaves open; lengths in mm and angles in degrees are the challenge's own interface.
+class FusionInsertionSettings(InsertionSettings):
+    """What the task leaves open beside what all do that insert a peg.
 
     Attributes:
-        max_steps: env steps after which an episode is cut off.
-        action_scale_mm_deg: motion at an action of 1: x [mm], y [mm], theta [deg], z [mm].
-        step_penalty: P in the reward.
-        final_reward: reward of success.
         insertion_depth_mm: how deep all of the peg's lower end must be below the rim.
-        indentation_mm: how far each gel is pressed into the peg.
-        gripper_x_mm: grasp centre along the peg's x axis.
-        gripper_z_mm: grasp centre above the peg's upper end.
-        peg_tilt_deg: of the peg in the grasp, about the axis along which the gels close.
-        hole_tilt_x_deg: of the base about the world's x axis.
-        hole_tilt_y_deg: of the base about the world's y axis, after that about x.
-        peg_friction: friction coefficient of the peg.
         base_friction: friction coefficient of the base.
         clearance_mm: gap between a centred peg and its hole; other bases than the evaluated one are for training.
         depth_mode: "stereo" as the camera measures depth, which is scored; "gt" for the exact one.
@@ -58,15 +46,11 @@ class FusionInsertionSettings:
         camera_x_mm: offset of the rig from its nominal place along the world's x, away from the base.
         camera_z_mm: the same upwards.
         camera_turn_deg: turn of the rig about the world's y axis.
-        random_xy_mm: largest |x| and |y| of a random start.
-        random_theta_deg: largest |theta| of a random start.
         random_z_mm: smallest and largest z of a random start.
         random_physics: draw friction, indentation and grip for every episode, over the challenge's training ranges
             and in place of the values above; for training.
         random_camera_turn_rad: largest turn of the rig either way, drawn for every episode; for training.
         random_camera_offset_m: largest offset of the rig either way along every axis; for training.
-        physics: materials of the gels and time stepping.
-        markers: ranges of the marker grid.
     """
 
     max_steps: int = 50
@@ -74,13 +58,6 @@ class FusionInsertionSettings:
     step_penalty: float = 0.8
     final_reward: float = 50.0
     insertion_depth_mm: float = 1.0
-    indentation_mm: float = 0.875
-    gripper_x_mm: float = GRIPPER_X.nominal
-    gripper_z_mm: float = GRIPPER_Z.nominal
-    peg_tilt_deg: float = 0.0
-    hole_tilt_x_deg: float = 0.0
-    hole_tilt_y_deg: float = 0.0
-    peg_friction: float = 9.5
     base_friction: float = 0.5
     clearance_mm: float = OFFICIAL_CLEARANCE_MM
     depth_mode: str = DepthMode.STEREO.value
@@ -89,14 +66,10 @@ class FusionInsertionSettings:
     camera_x_mm: float = CAMERA_X.nominal
     camera_z_mm: float = CAMERA_Z.nominal
     camera_turn_deg: float = CAMERA_TURN.nominal
-    random_xy_mm: float = 5.0
-    random_theta_deg: float = 10.0
     random_z_mm: tuple[float, ...] = (3.0, 9.0)
     random_physics: bool = False
     random_camera_turn_rad: float = 0.0
     random_camera_offset_m: float = 0.0
-    physics: PhysicsSettings = field(default_factory=PhysicsSettings)
-    markers: MarkerSettings = field(default_factory=MarkerSettings)
 
     def __post_init__(self) -> None:
         check_settings(self, action_numbers=len(TASK.actions))

@@ -1,5 +1,6 @@
 """`ViTac/InHandTurn-v1`: turn a rod between the gels that hold it, by pressing it against an edge."""
 
+from collections.abc import Mapping
 from math import radians
 from typing import Any, ClassVar
 
@@ -9,7 +10,7 @@ from ...deterministic_math import sine_cosine
 from ...fem.model.mesh import SurfaceMesh
 from ...scene.perspective import ActionArray
 from ..definition import Flags
-from ..settings import SHAPE, choose_shape, numbers, refusal
+from ..settings import SHAPE, choose_shape, numbers
 from ..task_env import Info, Observation, TactileTaskEnv
 from .definition import TASK
 from .scene import InHandTurnScene, InHandTurnSettings, RodShape, TurnStart, edge_mesh, rod_mesh
@@ -47,16 +48,26 @@ class InHandTurnEnv(TactileTaskEnv[InHandTurnScene, InHandTurnSettings]):
 
     task: ClassVar = TASK
     settings_type: ClassVar = InHandTurnSettings
+    scene_type: ClassVar = InHandTurnScene
     shape_type: ClassVar = RodShape
     option_names: ClassVar[tuple[str, ...]] = (SHAPE, START)
 
     def _solids(self) -> list[SurfaceMesh]:
         return [*map(rod_mesh, RodShape), edge_mesh()]
 
-    def _start(self, options: dict[str, Any], random: np.random.Generator) -> InHandTurnScene:
-        start = choose_start(options, random, env_id=self.env_id, shapes=self._shapes)
-        settings = self._settings_of_episode(random)
-        return InHandTurnScene(start=start, meshes=self._meshes, settings=settings, clocks=self._clocks)
+    def choose_start(
+        self,
+        options: Mapping[str, Any],
+        random: np.random.Generator,
+        settings: InHandTurnSettings,  # noqa: ARG002 - as of all tasks
+    ) -> TurnStart:
+        """Return the start that the options give; what they leave open is drawn: shape, then gap, angle and goal."""
+        shape = choose_shape(self.env_id, options, self._shapes, random)
+        drawn = [low + (high - low) * random.random() for low, high in DRAWN]
+        ranges = [f"{low:g} to {high:g}" for low, high in USABLE]
+        expected = f"expected (gap mm, angle deg, goal deg) of {', '.join(ranges)}"
+        gap_mm, angle_deg, goal_deg = numbers(self.env_id, START, options.get(START, drawn), USABLE, expected)
+        return TurnStart(shape=shape, gap_mm=gap_mm, angle_deg=angle_deg, goal_deg=goal_deg)
 
     def _error(self) -> float:
         scene = self.task_scene
@@ -90,25 +101,6 @@ class InHandTurnEnv(TactileTaskEnv[InHandTurnScene, InHandTurnSettings]):
             "relative_motion_mm": scene.relative_motion_mm(),
             "is_success": flags.is_success,
         }
-
-
-def choose_start(
-    options: dict[str, Any], random: np.random.Generator, *, env_id: str, shapes: tuple[RodShape, ...]
-) -> TurnStart:
-    """Return the start given by the options; what they leave open is drawn: shape, then gap, angle and goal.
-
-    Raises:
-        ResetOptionsError: an option is not a known rod or not a usable start.
-    """
-    shape = choose_shape(env_id, options, shapes, random)
-    drawn = [low + (high - low) * random.random() for low, high in DRAWN]
-    ranges = [f"{low:g} to {high:g}" for low, high in USABLE]
-    expected = f"expected (gap mm, angle deg, goal deg) of {', '.join(ranges)}"
-    wanted = numbers(env_id, START, options.get(START, drawn), len(USABLE), expected)
-    if not all(low <= value <= high for value, (low, high) in zip(wanted, USABLE, strict=True)):
-        raise refusal(env_id, START, options[START], expected)
-    gap_mm, angle_deg, goal_deg = wanted
-    return TurnStart(shape=shape, gap_mm=gap_mm, angle_deg=angle_deg, goal_deg=goal_deg)
 
 
 # Part of the twist of the gels by which a rod turns back.

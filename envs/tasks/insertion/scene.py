@@ -1,9 +1,9 @@
 """A peg between two upright gels above its hole: settings, offset, motions, and what an env step is judged by."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import isfinite, radians
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from ...tactile.sensor import TactileSensor
 from ..definition import Flags, surface_moved_too_far
 from ..quantities import Ranges, check_quantities
 from ..settings import require
-from .interface import GRIPPER_X, TILTS, PegOffset
+from .interface import GRIPPER_X, GRIPPER_Z, TILTS, PegOffset
 
 OffsetT = TypeVar("OffsetT", bound=PegOffset)
 
@@ -63,60 +63,43 @@ def compute_flags(state: InsertionState[OffsetT], *, max_steps: int, left_range:
 _WORDS = {3: "three", 4: "four"}
 
 
-class InsertionSettings(Protocol):
-    """Settings of a task that inserts a peg."""
+@dataclass(frozen=True, kw_only=True)
+class InsertionSettings:
+    """What every task that inserts a peg leaves open; lengths in mm and angles in degrees are the challenge's own.
 
-    @property
-    def max_steps(self) -> int:
-        """Env steps after which an episode is cut off."""
+    Attributes:
+        max_steps: env steps after which an episode is cut off.
+        action_scale_mm_deg: motion at an action of 1: x [mm], y [mm], theta [deg], and z [mm] where the action has it.
+        step_penalty: P in the reward.
+        final_reward: reward of success.
+        indentation_mm: how far each gel is pressed into the peg.
+        gripper_x_mm: grasp centre along the peg's x axis.
+        gripper_z_mm: grasp centre above the peg's upper end.
+        peg_tilt_deg: of the peg about the axis along which the gels close; about the other one they press it upright.
+        hole_tilt_x_deg: of the part with the hole about the world's x axis.
+        hole_tilt_y_deg: of the part with the hole about the world's y axis, after that about x.
+        peg_friction: friction coefficient of the peg.
+        random_xy_mm: largest |x| and |y| of a random start.
+        random_theta_deg: largest |theta| of a random start.
+        physics: materials of the gels and time stepping.
+        markers: ranges of the marker grid.
+    """
 
-    @property
-    def action_scale_mm_deg(self) -> tuple[float, ...]:
-        """Motion at an action of 1: x [mm], y [mm], theta [deg], and z [mm] where the action has it."""
-
-    @property
-    def step_penalty(self) -> float:
-        """P in the reward."""
-
-    @property
-    def final_reward(self) -> float:
-        """Reward of success."""
-
-    @property
-    def indentation_mm(self) -> float:
-        """How far each gel is pressed into the peg."""
-
-    @property
-    def gripper_x_mm(self) -> float:
-        """Grasp centre along the peg's x axis."""
-
-    @property
-    def gripper_z_mm(self) -> float:
-        """Grasp centre above the peg's upper end."""
-
-    @property
-    def peg_tilt_deg(self) -> float:
-        """Tilt of the peg about the axis along which the gels close; about the other one they press it upright."""
-
-    @property
-    def hole_tilt_x_deg(self) -> float:
-        """Tilt of the part with the hole about the world's x axis."""
-
-    @property
-    def hole_tilt_y_deg(self) -> float:
-        """Tilt of the part with the hole about the world's y axis, after that about x."""
-
-    @property
-    def peg_friction(self) -> float:
-        """Friction coefficient of the peg."""
-
-    @property
-    def physics(self) -> PhysicsSettings:
-        """Materials of the gels and time stepping."""
-
-    @property
-    def markers(self) -> MarkerSettings:
-        """Ranges of the marker grid."""
+    max_steps: int
+    action_scale_mm_deg: tuple[float, ...]
+    step_penalty: float
+    final_reward: float
+    indentation_mm: float = 0.875
+    gripper_x_mm: float = GRIPPER_X.nominal
+    gripper_z_mm: float = GRIPPER_Z.nominal
+    peg_tilt_deg: float = 0.0
+    hole_tilt_x_deg: float = 0.0
+    hole_tilt_y_deg: float = 0.0
+    peg_friction: float = 9.5
+    random_xy_mm: float = 5.0
+    random_theta_deg: float = 10.0
+    physics: PhysicsSettings = field(default_factory=PhysicsSettings)
+    markers: MarkerSettings = field(default_factory=MarkerSettings)
 
 
 def training_ranges(fixed_friction: str) -> Ranges:

@@ -1,6 +1,6 @@
 """`ViTac/LockOpening-v1`: align a key in its lock and lift it, holding it between two tactile sensors."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping
 from typing import Any, ClassVar, TypedDict
 
 import numpy as np
@@ -10,7 +10,7 @@ from ...fem.model.mesh import SurfaceMesh
 from ...geometry.keys_and_locks import KeyShape
 from ...scene.perspective import ActionArray, longest_action
 from ..definition import Flags
-from ..settings import SHAPE, choose_shape, numbers, refusal
+from ..settings import SHAPE, choose_shape, either_way, numbers
 from ..task_env import Info, Observation, TactileTaskEnv
 from .definition import SUCCESS_Z_RANGE_M, TASK, alignment_error, judge_flags, reward
 from .scene import (
@@ -24,7 +24,6 @@ from .scene import (
     lock_mesh,
 )
 
-ENV_ID = TASK.env_id
 OFFSET, JITTER = "offset_mm", "sensor_jitter_mm"
 
 
@@ -33,78 +32,6 @@ X_RANGE_MM = (-1.4, 40.0)
 LARGEST_Y_MM = 0.8
 LARGEST_Z_MM = 0.8
 LARGEST_JITTER_MM = 4.0
-
-
-def read_offset(env_id: str, value: Any) -> KeyOffset:
-    """Return the offset that the option gives, if the key is clear of its lock there.
-
-    Raises:
-        ResetOptionsError: it is not.
-    """
-    low, high = X_RANGE_MM
-    expected = (
-        f"expected (x, y, z) in mm with {low:g} <= x <= {high:g}, |y| <= {LARGEST_Y_MM:g}, |z| <= {LARGEST_Z_MM:g}"
-    )
-    x_mm, y_mm, z_mm = numbers(env_id, OFFSET, value, 3, expected)
-    if not (low <= x_mm <= high and abs(y_mm) <= LARGEST_Y_MM and abs(z_mm) <= LARGEST_Z_MM):
-        raise refusal(env_id, OFFSET, value, expected)
-    return KeyOffset(x_mm=x_mm, y_mm=y_mm, z_mm=z_mm)
-
-
-def choose_start(
-    options: dict[str, Any],
-    random: np.random.Generator,
-    *,
-    env_id: str = ENV_ID,
-    shapes: Sequence[KeyShape] = tuple(KeyShape),
-    x_mm: float,
-    jitter_mm: float,
-    jitter_z_mm: float | None = None,
-    read_offset: Callable[[str, Any], KeyOffset] = read_offset,
-) -> LockStart:
-    """Return the start given by the options; what they leave open is drawn: key, x, then size and sign of each jitter.
-
-    Args:
-        options: may hold `shape`, `offset_mm` and `sensor_jitter_mm`.
-        random: the episode's generator.
-        env_id: for messages.
-        shapes: that may be drawn.
-        x_mm: a drawn offset has x from 0 to this, y = z = 0.
-        jitter_mm: largest drawn jitter either way.
-        jitter_z_mm: the same in height, where it is another one.
-        read_offset: makes an offset of the option.
-
-    Raises:
-        ResetOptionsError: an option is not a known key or not a usable offset or jitter.
-    """
-    shape = choose_shape(env_id, options, shapes, random)
-    wanted = options.get(OFFSET)
-    offset = (
-        KeyOffset(x_mm=x_mm * random.random(), y_mm=0.0, z_mm=0.0) if wanted is None else read_offset(env_id, wanted)
-    )
-    off = options.get(JITTER)
-    z_mm = jitter_mm if jitter_z_mm is None else jitter_z_mm
-    jitter = _random_jitter(random, jitter_mm, z_mm) if off is None else _jitter(env_id, off)
-    return LockStart(shape=shape, offset=offset, jitter=jitter)
-
-
-def _random_jitter(random: np.random.Generator, largest_x_mm: float, largest_z_mm: float) -> SensorJitter:
-    x_mm = _random_sided(random, largest_x_mm)
-    return SensorJitter(x_mm=x_mm, z_mm=_random_sided(random, largest_z_mm))
-
-
-def _random_sided(random: np.random.Generator, largest: float) -> float:
-    """Return a size from 0 to the largest, then a sign."""
-    size = largest * random.random()
-    return size if random.integers(2) else -size
-
-
-def _jitter(env_id: str, value: Any) -> SensorJitter:
-    expected = f"expected (x, z) in mm within {LARGEST_JITTER_MM:g} either way"
-    x_mm, z_mm = numbers(env_id, JITTER, value, 2, expected)
-    if max(abs(x_mm), abs(z_mm)) > LARGEST_JITTER_MM:
-        raise refusal(env_id, JITTER, value, expected)
-    return SensorJitter(x_mm=x_mm, z_mm=z_mm)
 
 
 FloatArray = NDArray[np.float64]
@@ -166,6 +93,7 @@ class LockOpeningEnv(TactileTaskEnv[LockScene, LockOpeningSettings]):
 
     task: ClassVar = TASK
     settings_type: ClassVar = LockOpeningSettings
+    scene_type: ClassVar = LockScene
     shape_type: ClassVar = KeyShape
     training_ranges: ClassVar = TRAINING_RANGES
     option_names: ClassVar[tuple[str, ...]] = (SHAPE, OFFSET, JITTER)
@@ -174,13 +102,36 @@ class LockOpeningEnv(TactileTaskEnv[LockScene, LockOpeningSettings]):
         meshes, gap_mm = self._meshes, self.settings.slot_clearance_mm
         return [solid for shape in KeyShape for solid in (key_mesh(meshes, shape), lock_mesh(meshes, shape, gap_mm))]
 
-    def _start(self, options: dict[str, Any], random: np.random.Generator) -> LockScene:
-        settings = self.settings
-        start = choose_start(
-            options, random, shapes=self._shapes, x_mm=settings.random_x_mm, jitter_mm=settings.jitter_mm
+    def choose_start(
+        self, options: Mapping[str, Any], random: np.random.Generator, settings: LockOpeningSettings
+    ) -> LockStart:
+        """Return the start that the options give, or draw it: key, x, then size and sign of each jitter."""
+        shape, wanted = choose_shape(self.env_id, options, self._shapes, random), options.get(OFFSET)
+        if wanted is None:
+            offset = KeyOffset(x_mm=settings.random_x_mm * random.random(), y_mm=0.0, z_mm=0.0)
+        else:
+            offset = self._read_offset(wanted)
+        jitter = options.get(JITTER)
+        if jitter is None:
+            jitter = [_random_sided(random, largest_mm) for largest_mm in self._largest_jitter_mm(settings)]
+        expected = f"expected (x, z) in mm within {LARGEST_JITTER_MM:g} either way"
+        ranges = either_way(LARGEST_JITTER_MM, LARGEST_JITTER_MM)
+        x_mm, z_mm = numbers(self.env_id, JITTER, jitter, ranges, expected)
+        return LockStart(shape=shape, offset=offset, jitter=SensorJitter(x_mm=x_mm, z_mm=z_mm))
+
+    def _read_offset(self, value: Any) -> KeyOffset:
+        """Return the offset that the option gives, if the key is clear of its lock there."""
+        low, high = X_RANGE_MM
+        expected = (
+            f"expected (x, y, z) in mm with {low:g} <= x <= {high:g}, |y| <= {LARGEST_Y_MM:g}, |z| <= {LARGEST_Z_MM:g}"
         )
-        drawn = self._settings_of_episode(random)
-        return LockScene(start=start, meshes=self._meshes, settings=drawn, clocks=self._clocks)
+        ranges = (X_RANGE_MM, *either_way(LARGEST_Y_MM, LARGEST_Z_MM))
+        x_mm, y_mm, z_mm = numbers(self.env_id, OFFSET, value, ranges, expected)
+        return KeyOffset(x_mm=x_mm, y_mm=y_mm, z_mm=z_mm)
+
+    def _largest_jitter_mm(self, settings: LockOpeningSettings) -> tuple[float, float]:
+        """Return the largest drawn jitter along the key, and in height."""
+        return settings.jitter_mm, settings.jitter_mm
 
     def _error(self) -> float:
         return alignment_error(self.task_scene.state())
@@ -216,6 +167,12 @@ class LockOpeningEnv(TactileTaskEnv[LockScene, LockOpeningSettings]):
             "is_success": flags.is_success,
         }
         return {**info}
+
+
+def _random_sided(random: np.random.Generator, largest: float) -> float:
+    """Return a size from 0 to the largest, then a sign."""
+    size = largest * random.random()
+    return size if random.integers(2) else -size
 
 
 # Above the least height at which the lock opens [mm].

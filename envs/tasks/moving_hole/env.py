@@ -1,6 +1,7 @@
 """`ViTac/MovingHole-v1`: insert a peg into the hole of a plate that moves."""
 
-from functools import partial
+from collections.abc import Mapping
+from math import inf
 from typing import Any, ClassVar
 
 import numpy as np
@@ -8,9 +9,8 @@ import numpy as np
 from ...scene.perspective import ActionArray, longest_action
 from ..definition import Flags
 from ..insertion.env import way_to_the_hole
-from ..peg_insertion.env import OFFSET, PegInsertionEnv, choose_start, is_blocked
-from ..peg_insertion.scene import PegScene
-from ..settings import SHAPE, choice, numbers
+from ..peg_insertion.env import OFFSET, PegInsertionEnv
+from ..settings import SHAPE, choice, either_way, numbers
 from ..task_env import Info, Observation
 from .definition import TASK
 from .scene import EARLIEST_START_S, MovingHoleScene, MovingHoleSettings, MovingHoleStart, PlateMotion, PlatePath
@@ -37,64 +37,34 @@ class MovingHoleEnv(PegInsertionEnv):
 
     task: ClassVar = TASK
     settings_type: ClassVar = MovingHoleSettings
+    scene_type: ClassVar = MovingHoleScene
     option_names: ClassVar[tuple[str, ...]] = (SHAPE, OFFSET, MOTION, DIRECTION, START)
 
-    def _start(self, options: dict[str, Any], random: np.random.Generator) -> PegScene:
-        settings: Any = self._settings_with_draws()
-        start = choose_start(
-            options,
-            random,
-            env_id=self.env_id,
-            shapes=self._shapes,
-            blocked=partial(is_blocked, form=settings.form),
-            xy_mm=settings.random_xy_mm,
-            theta_deg=settings.random_theta_deg,
+    def choose_start(self, options: Mapping[str, Any], random: np.random.Generator, settings: Any) -> MovingHoleStart:
+        """Return the start that the options give; what they leave open is drawn: first the peg's, then the path."""
+        start = super().choose_start(options, random, settings)
+        path = self._choose_path(options, random, settings)
+        return MovingHoleStart(shape=start.shape, offset=start.offset, path=path)
+
+    def _choose_path(
+        self, options: Mapping[str, Any], random: np.random.Generator, settings: MovingHoleSettings
+    ) -> PlatePath:
+        """Return the path that the options give; what they leave open is drawn: motion, direction and start."""
+        kind, turn, late = int(random.integers(len(PlateMotion))), random.random(), random.random()
+        given = options.get(MOTION)
+        motion = list(PlateMotion)[kind] if given is None else choice(self.env_id, MOTION, given, PlateMotion)
+        drawn = {DIRECTION: 360.0 * turn, START: EARLIEST_START_S + settings.latest_start_s * late}
+        direction_deg, start_s = (
+            numbers(self.env_id, name, [options.get(name, value)], either_way(inf), "expected a number")[0]
+            for name, value in drawn.items()
         )
-        path = choose_path(
-            options,
-            random,
-            env_id=self.env_id,
-            speed_mm_s=settings.plate_speed_mm_s,
-            latest_start_s=settings.latest_start_s,
-        )
-        drawn: Any = self._settings_of_episode(random)
-        return MovingHoleScene(
-            start=MovingHoleStart(shape=start.shape, offset=start.offset, path=path),
-            meshes=self._meshes,
-            settings=drawn,
-            clocks=self._clocks,
-        )
+        speed_mm_s = settings.plate_speed_mm_s
+        return PlatePath(motion=motion, speed_mm_s=speed_mm_s, direction_deg=direction_deg, start_s=start_s)
 
     def _info(self, flags: Flags) -> Info:
         scene: Any = self.task_scene
         shift_mm = 1e3 * scene.grasped.fixed_shift_m()[:2]
         return {**super()._info(flags), "plate_mm": shift_mm, "plate_step_mm": scene.plate_step_mm()}
-
-
-def choose_path(
-    options: dict[str, Any], random: np.random.Generator, *, env_id: str, speed_mm_s: float, latest_start_s: float
-) -> PlatePath:
-    """Return the plate's path as the options give it; what they leave open is drawn: motion, direction and start.
-
-    Args:
-        options: may hold `plate_motion`, `plate_direction_deg` and `plate_start_s`.
-        random: the episode's generator.
-        env_id: for messages.
-        speed_mm_s: largest speed of the plate.
-        latest_start_s: largest time from the reset's end to the start.
-
-    Raises:
-        ResetOptionsError: an option is not a known motion or not a number.
-    """
-    kind, turn, late = int(random.integers(len(PlateMotion))), random.random(), random.random()
-    given = options.get(MOTION)
-    motion = list(PlateMotion)[kind] if given is None else choice(env_id, MOTION, given, PlateMotion)
-    drawn = {DIRECTION: 360.0 * turn, START: EARLIEST_START_S + latest_start_s * late}
-    direction_deg, start_s = (
-        drawn[name] if name not in options else numbers(env_id, name, [options[name]], 1, "expected a number")[0]
-        for name in (DIRECTION, START)
-    )
-    return PlatePath(motion=motion, speed_mm_s=speed_mm_s, direction_deg=direction_deg, start_s=start_s)
 
 
 def to_where_the_hole_will_be(_: Observation, info: Info) -> ActionArray:

@@ -1,8 +1,7 @@
 """`ViTac/PegInsertion-v1`: insert a peg that is held between two tactile sensors."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping
 from enum import StrEnum
-from functools import partial
 from math import radians
 from typing import Any, ClassVar
 
@@ -24,12 +23,11 @@ from ..definition import Flags
 from ..insertion.env import InsertionEnv, way_to_the_hole
 from ..insertion.interface import PegOffset, is_beyond
 from ..insertion.scene import InsertionState, compute_flags, training_ranges
-from ..settings import SHAPE, choose_shape, numbers, refusal
+from ..settings import SHAPE, choose_shape, either_way, numbers
 from ..task_env import Info, Observation
 from .definition import SUCCESS_DEPTH_MM, TASK
 from .scene import PegInsertionSettings, PegScene, PegStart, hole_mesh, peg_mesh
 
-ENV_ID = TASK.env_id
 OFFSET = "offset_mm_deg"
 
 
@@ -51,73 +49,10 @@ def place_profile(profile: Polygon, offset: PegOffset) -> Polygon:
     return np.column_stack([cosine * x - sine * y + offset.x_mm, sine * x + cosine * y + offset.y_mm])
 
 
-def choose_start(
-    options: dict[str, Any],
-    random: np.random.Generator,
-    *,
-    env_id: str = ENV_ID,
-    shapes: Sequence[Any] = tuple(PegShape),
-    blocked: Callable[[Any, PegOffset], bool] = is_blocked,
-    xy_mm: float,
-    theta_deg: float,
-) -> PegStart:
-    """Return the start given by the options; what they leave open is drawn: first the shape, then a blocked offset.
-
-    Args:
-        options: may hold `shape` and `offset_mm_deg`.
-        random: the episode's generator.
-        env_id: for messages.
-        shapes: that may be drawn, at least one.
-        blocked: whether a peg of a shape cannot just fall into the hole at an offset.
-        xy_mm: largest |x| and |y| of a drawn offset.
-        theta_deg: largest |theta| of a drawn offset.
-
-    Raises:
-        ResetOptionsError: an option is not a known shape or not a usable offset.
-    """
-    shape = choose_shape(env_id, options, shapes, random)
-    wanted = options.get(OFFSET)
-    offset = (
-        random_blocked_offset(shape, random, blocked=blocked, xy_mm=xy_mm, theta_deg=theta_deg)
-        if wanted is None
-        else _offset(env_id, wanted)
-    )
-    return PegStart(shape=shape, offset=offset)
-
-
-def random_blocked_offset(
-    shape: StrEnum,
-    random: np.random.Generator,
-    *,
-    blocked: Callable[[Any, PegOffset], bool] = is_blocked,
-    xy_mm: float,
-    theta_deg: float,
-) -> PegOffset:
-    """Return a uniform offset (drawn x, y, theta), drawn again until the peg cannot just fall into the hole.
-
-    The 2025 code asks a collision library about the solids; prisms with one axis collide where their profiles do.
-    """
-    while True:
-        x, y, theta = random.uniform(-1.0, 1.0, 3).tolist()
-        offset = PegOffset(x_mm=x * xy_mm, y_mm=y * xy_mm, theta_deg=theta * theta_deg)
-        if blocked(shape, offset):
-            return offset
-
-
 def accepts_start(shape: str, offset_mm_deg: tuple[float, float, float]) -> bool:
     """Return whether an episode may start there: the peg must not just fall into the hole."""
     x_mm, y_mm, theta_deg = offset_mm_deg
     return is_blocked(PegShape(shape), PegOffset(x_mm=x_mm, y_mm=y_mm, theta_deg=theta_deg))
-
-
-def _offset(env_id: str, value: Any) -> PegOffset:
-    expected = (
-        f"expected (x mm, y mm, theta deg) within {LARGEST_XY_MM:g} mm and {LARGEST_THETA_DEG:g} degrees either way"
-    )
-    x_mm, y_mm, theta_deg = numbers(env_id, OFFSET, value, 3, expected)
-    if max(abs(x_mm), abs(y_mm)) > LARGEST_XY_MM or abs(theta_deg) > LARGEST_THETA_DEG:
-        raise refusal(env_id, OFFSET, value, expected)
-    return PegOffset(x_mm=x_mm, y_mm=y_mm, theta_deg=theta_deg)
 
 
 SUCCESS_COMMANDED_DEPTH_MM = 0.35
@@ -170,6 +105,7 @@ class PegInsertionEnv(InsertionEnv[PegScene, PegInsertionSettings]):
 
     task: ClassVar = TASK
     settings_type: ClassVar = PegInsertionSettings
+    scene_type: ClassVar[type[PegScene]] = PegScene
     shape_type: ClassVar[type[StrEnum]] = PegShape
     training_ranges: ClassVar = training_ranges("hole_friction")
     option_names: ClassVar[tuple[str, ...]] = (SHAPE, OFFSET)
@@ -178,18 +114,36 @@ class PegInsertionEnv(InsertionEnv[PegScene, PegInsertionSettings]):
         meshes, form = self._meshes, self.settings.form
         return [mesh(meshes, shape, form) for shape in PegShape for mesh in (peg_mesh, hole_mesh)]
 
-    def _start(self, options: dict[str, Any], random: np.random.Generator) -> PegScene:
-        settings = self._settings_with_draws()
-        start = choose_start(
-            options,
-            random,
-            shapes=self._shapes,
-            blocked=partial(is_blocked, form=settings.form),
-            xy_mm=settings.random_xy_mm,
-            theta_deg=settings.random_theta_deg,
+    def choose_start(
+        self, options: Mapping[str, Any], random: np.random.Generator, settings: PegInsertionSettings
+    ) -> PegStart:
+        """Return the start that the options give; what they leave open is drawn: the shape, then a blocked offset."""
+        shape, wanted = choose_shape(self.env_id, options, self._shapes, random), options.get(OFFSET)
+        if wanted is None:
+            return PegStart(shape=shape, offset=self._draw_blocked_offset(shape, random, settings))
+        expected = (
+            f"expected (x mm, y mm, theta deg) within {LARGEST_XY_MM:g} mm and {LARGEST_THETA_DEG:g} degrees either way"
         )
-        drawn = self._settings_of_episode(random)
-        return PegScene(start=start, meshes=self._meshes, settings=drawn, clocks=self._clocks)
+        ranges = either_way(LARGEST_XY_MM, LARGEST_XY_MM, LARGEST_THETA_DEG)
+        x_mm, y_mm, theta_deg = numbers(self.env_id, OFFSET, wanted, ranges, expected)
+        return PegStart(shape=shape, offset=PegOffset(x_mm=x_mm, y_mm=y_mm, theta_deg=theta_deg))
+
+    def _draw_blocked_offset(
+        self, shape: StrEnum, random: np.random.Generator, settings: PegInsertionSettings
+    ) -> PegOffset:
+        """Return a uniform offset (drawn x, y, theta), drawn again until the peg cannot just fall into the hole.
+
+        The 2025 code asks a collision library about the solids; prisms with one axis collide where their profiles do.
+        """
+        xy_mm, largest_deg = settings.random_xy_mm, settings.random_theta_deg
+        while True:
+            x, y, theta = random.uniform(-1.0, 1.0, 3).tolist()
+            offset = PegOffset(x_mm=x * xy_mm, y_mm=y * xy_mm, theta_deg=theta * largest_deg)
+            if self._is_blocked(shape, offset, settings):
+                return offset
+
+    def _is_blocked(self, shape: Any, offset: PegOffset, settings: PegInsertionSettings) -> bool:
+        return is_blocked(shape, offset, settings.form)
 
     def _judge(self) -> Flags:
         settings = self.settings

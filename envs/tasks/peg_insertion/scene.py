@@ -1,7 +1,7 @@
 """Scene of the peg task: settings, parts, and motions of a peg held by two gels above a plate with its hole."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -19,66 +19,48 @@ from ...geometry.pegs import (
     hole_surface,
     peg_surface,
 )
-from ...scene.grasped_scene import Clocks, PhysicsSettings
-from ...tactile.markers import MarkerSettings
-from ..insertion.interface import CLEARANCE, GRIPPER_X, GRIPPER_Z, PegOffset
-from ..insertion.scene import TRAVEL_SPEED_M_S, InsertionScene, Parts, check_friction, check_settings, lay, place_peg
+from ...scene.grasped_scene import Clocks
+from ..insertion.interface import CLEARANCE, PegOffset
+from ..insertion.scene import (
+    TRAVEL_SPEED_M_S,
+    InsertionScene,
+    InsertionSettings,
+    Parts,
+    check_friction,
+    check_settings,
+    lay,
+    place_peg,
+)
 from ..quantities import check_quantities
 from ..settings import require
 from .definition import FORM_QUANTITIES, PEG_BULGE, PEG_SLANT, PEG_TAPER, PEG_WIDTH, TASK
 
 
 @dataclass(frozen=True, kw_only=True)
-class PegInsertionSettings:
-    """What the task leaves open; lengths in mm and angles in degrees are the challenge's own interface.
+class PegInsertionSettings(InsertionSettings):
+    """What the task leaves open beside what all do that insert a peg.
 
     Attributes:
-        max_steps: env steps after which an episode is cut off.
         z_step_mm: descent at the end of every env step.
-        action_scale_mm_deg: motion at an action of 1: x [mm], y [mm], theta [deg].
-        step_penalty: P in the reward.
-        final_reward: reward of success.
-        indentation_mm: how far each gel is pressed into the peg.
-        gripper_x_mm: grasp centre along the peg's x axis.
-        gripper_z_mm: grasp centre above the peg's upper end.
-        peg_tilt_deg: of the peg in the grasp, about the axis along which the gels close.
-        hole_tilt_x_deg: of the plate about the world's x axis.
-        hole_tilt_y_deg: of the plate about the world's y axis, after that about x.
-        peg_friction: friction coefficient of the peg.
         hole_friction: friction coefficient of the plate.
         clearance_mm: gap between a centred peg and its hole.
         peg_width: factor of the peg's width in the middle of the grasp, see `PegForm`.
         peg_taper: by how much that factor differs at the gripped faces.
         peg_bulge: by how much that factor is larger in the middle third.
         peg_slant_mm: by how much the gripped faces lie on different sides of the middle.
-        random_xy_mm: largest |x| and |y| of a random start.
-        random_theta_deg: largest |theta| of a random start.
-        physics: materials of the gels and time stepping.
-        markers: ranges of the marker grid.
     """
 
     max_steps: int = 8
-    z_step_mm: float = 0.125
     action_scale_mm_deg: tuple[float, ...] = TASK.action_scale
     step_penalty: float = 1.0
     final_reward: float = 10.0
-    indentation_mm: float = 0.875
-    gripper_x_mm: float = GRIPPER_X.nominal
-    gripper_z_mm: float = GRIPPER_Z.nominal
-    peg_tilt_deg: float = 0.0
-    hole_tilt_x_deg: float = 0.0
-    hole_tilt_y_deg: float = 0.0
-    peg_friction: float = 9.5
+    z_step_mm: float = 0.125
     hole_friction: float = 0.5
     clearance_mm: float = CLEARANCE.nominal
     peg_width: float = PEG_WIDTH.nominal
     peg_taper: float = PEG_TAPER.nominal
     peg_bulge: float = PEG_BULGE.nominal
     peg_slant_mm: float = PEG_SLANT.nominal
-    random_xy_mm: float = 5.0
-    random_theta_deg: float = 10.0
-    physics: PhysicsSettings = field(default_factory=PhysicsSettings)
-    markers: MarkerSettings = field(default_factory=MarkerSettings)
 
     def __post_init__(self) -> None:
         check_settings(self, action_numbers=len(TASK.actions))

@@ -1,6 +1,6 @@
 """`ViTac/Slip-v1`: hold a part under a load that grows with as little force as it takes, and set it down."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -8,7 +8,7 @@ import numpy as np
 from ...fem.model.mesh import SurfaceMesh
 from ...scene.perspective import ActionArray
 from ..definition import Flags, surface_moved_too_far
-from ..settings import SHAPE, choose_shape, numbers, refusal
+from ..settings import SHAPE, choose_shape, either_way, numbers
 from ..task_env import Info, Observation, TactileTaskEnv
 from .definition import STANDING_MM, TASK
 from .scene import SlipScene, SlipSettings, SlipShape, SlipStart, part_mesh, table_mesh
@@ -49,16 +49,24 @@ class SlipEnv(TactileTaskEnv[SlipScene, SlipSettings]):
 
     task: ClassVar = TASK
     settings_type: ClassVar = SlipSettings
+    scene_type: ClassVar = SlipScene
     shape_type: ClassVar = SlipShape
     option_names: ClassVar[tuple[str, ...]] = (SHAPE, OFFSET)
 
     def _solids(self) -> list[SurfaceMesh]:
         return [*map(part_mesh, SlipShape), table_mesh()]
 
-    def _start(self, options: dict[str, Any], random: np.random.Generator) -> SlipScene:
-        settings = self._settings_of_episode(random)
-        start = choose_start(options, random, env_id=self.env_id, shapes=self._shapes, settings=settings)
-        return SlipScene(start=start, meshes=self._meshes, settings=settings, clocks=self._clocks)
+    def choose_start(
+        self, options: Mapping[str, Any], random: np.random.Generator, settings: SlipSettings
+    ) -> SlipStart:
+        """Return the start that the options give; what they leave open is drawn: shape, then x and z."""
+        shape, wanted = choose_shape(self.env_id, options, self._shapes, random), options.get(OFFSET)
+        if wanted is None:
+            x, z = random.uniform(-1.0, 1.0, 2).tolist()
+            return SlipStart(shape=shape, x_mm=x * settings.random_x_mm, z_mm=z * settings.random_z_mm)
+        expected = f"expected (x, z) in mm within {LARGEST_X_MM:g} and {LARGEST_Z_MM:g} mm either way"
+        x_mm, z_mm = numbers(self.env_id, OFFSET, wanted, either_way(LARGEST_X_MM, LARGEST_Z_MM), expected)
+        return SlipStart(shape=shape, x_mm=x_mm, z_mm=z_mm)
 
     def _error(self) -> float:
         scene = self.task_scene
@@ -106,37 +114,6 @@ class SlipEnv(TactileTaskEnv[SlipScene, SlipSettings]):
             "is_loaded": scene.env_steps >= self.settings.load_last_step,
             "is_success": flags.is_success,
         }
-
-
-def choose_start(
-    options: dict[str, Any],
-    random: np.random.Generator,
-    *,
-    env_id: str,
-    shapes: Sequence[SlipShape],
-    settings: SlipSettings,
-) -> SlipStart:
-    """Return the start given by the options; what they leave open is drawn: shape, then x and z.
-
-    Args:
-        options: may hold `shape` and `offset_mm`.
-        random: the episode's generator.
-        env_id: for messages.
-        shapes: that may be drawn.
-        settings: of the task.
-
-    Raises:
-        ResetOptionsError: an option is not a known shape or not a usable offset.
-    """
-    shape, wanted = choose_shape(env_id, options, shapes, random), options.get(OFFSET)
-    if wanted is None:
-        x, z = random.uniform(-1.0, 1.0, 2).tolist()
-        return SlipStart(shape=shape, x_mm=x * settings.random_x_mm, z_mm=z * settings.random_z_mm)
-    expected = f"expected (x, z) in mm within {LARGEST_X_MM:g} and {LARGEST_Z_MM:g} mm either way"
-    x_mm, z_mm = numbers(env_id, OFFSET, wanted, 2, expected)
-    if abs(x_mm) > LARGEST_X_MM or abs(z_mm) > LARGEST_Z_MM:
-        raise refusal(env_id, OFFSET, wanted, expected)
-    return SlipStart(shape=shape, x_mm=x_mm, z_mm=z_mm)
 
 
 # Of the force that friction needs, and of the way between two forces in an env step.

@@ -1,6 +1,6 @@
 """`ViTac/SoftPlug-v1`, `ViTac/CableEnd-v1`: push an elastic plug, or a connector on a soft boot, into a hole."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -8,7 +8,7 @@ import numpy as np
 from ...fem.model.mesh import SurfaceMesh
 from ...scene.perspective import ActionArray
 from ..definition import Flags, surface_moved_too_far
-from ..settings import SHAPE, choose_shape, numbers, refusal
+from ..settings import SHAPE, choose_shape, either_way, numbers
 from ..task_env import Info, Observation, TactileTaskEnv
 from .definition import CABLE_TASK, PLUG_TASK, SUCCESS_DEPTH_MM
 from .scene import CableEndSettings, CableShape, PlugShape, SoftPlugScene, SoftPlugSettings, SoftPlugStart, plate_mesh
@@ -44,16 +44,25 @@ class SoftPlugEnv(TactileTaskEnv[SoftPlugScene, SoftPlugSettings]):
 
     task: ClassVar = PLUG_TASK
     settings_type: ClassVar = SoftPlugSettings
+    scene_type: ClassVar = SoftPlugScene
     shape_type: ClassVar[type[PlugShape | CableShape]] = PlugShape
     option_names: ClassVar[tuple[str, ...]] = (SHAPE, OFFSET)
 
     def _solids(self) -> list[SurfaceMesh]:
         return [plate_mesh(shape, self.settings.interference_mm) for shape in self.shape_type]
 
-    def _start(self, options: dict[str, Any], random: np.random.Generator) -> SoftPlugScene:
-        start = choose_start(options, random, env_id=self.env_id, shapes=self._shapes, xy_mm=self.settings.random_xy_mm)
-        settings = self._settings_of_episode(random)
-        return SoftPlugScene(start=start, meshes=self._meshes, settings=settings, clocks=self._clocks)
+    def choose_start(
+        self, options: Mapping[str, Any], random: np.random.Generator, settings: SoftPlugSettings
+    ) -> SoftPlugStart:
+        """Return the start that the options give; what they leave open is drawn: shape, then x and y."""
+        shape = choose_shape(self.env_id, options, self._shapes, random)
+        drawn = [0.0, 0.0]
+        while not accepts_start(shape, drawn):
+            drawn = (settings.random_xy_mm * random.uniform(-1.0, 1.0, 2)).tolist()
+        wanted, ranges = options.get(OFFSET, drawn), either_way(LARGEST_XY_MM, LARGEST_XY_MM)
+        expected = f"expected (x, y) in mm within {LARGEST_XY_MM:g} mm either way"
+        x_mm, y_mm = numbers(self.env_id, OFFSET, wanted, ranges, expected)
+        return SoftPlugStart(shape=shape, x_mm=x_mm, y_mm=y_mm)
 
     def _error(self) -> float:
         scene = self.task_scene
@@ -110,30 +119,6 @@ class CableEndEnv(SoftPlugEnv):
     task: ClassVar = CABLE_TASK
     settings_type: ClassVar = CableEndSettings
     shape_type: ClassVar = CableShape
-
-
-def choose_start(
-    options: dict[str, Any],
-    random: np.random.Generator,
-    *,
-    env_id: str,
-    shapes: tuple[PlugShape | CableShape, ...],
-    xy_mm: float,
-) -> SoftPlugStart:
-    """Return the start given by the options; what they leave open is drawn: shape, then x and y.
-
-    Raises:
-        ResetOptionsError: an option is not a known plug or not a usable offset.
-    """
-    shape = choose_shape(env_id, options, shapes, random)
-    drawn = [0.0, 0.0]
-    while not accepts_start(shape, drawn):
-        drawn = (xy_mm * random.uniform(-1.0, 1.0, 2)).tolist()
-    expected = f"expected (x, y) in mm within {LARGEST_XY_MM:g} mm either way"
-    x_mm, y_mm = numbers(env_id, OFFSET, options.get(OFFSET, drawn), 2, expected)
-    if max(abs(x_mm), abs(y_mm)) > LARGEST_XY_MM:
-        raise refusal(env_id, OFFSET, options[OFFSET], expected)
-    return SoftPlugStart(shape=shape, x_mm=x_mm, y_mm=y_mm)
 
 
 def accepts_start(_: str, offset_mm: Sequence[float]) -> bool:

@@ -1,15 +1,16 @@
 """`Switch/Press-v1`: press a switch until it closes."""
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
 from vitac.envs.fem.model.mesh import SurfaceMesh
 from vitac.envs.tasks.definition import Flags, surface_moved_too_far
-from vitac.envs.tasks.settings import choose_shape, numbers, refusal
+from vitac.envs.tasks.settings import choose_shape, numbers
 from vitac.envs.tasks.task_env import Info, TactileTaskEnv
 
 from .definition import CLOSES_AT_N, TASK
-from .scene import Button, SwitchScene, SwitchSettings, button_mesh, finger_mesh, housing_mesh
+from .scene import Button, SwitchScene, SwitchSettings, SwitchStart, button_mesh, finger_mesh, housing_mesh
 
 LOWEST_MM, HIGHEST_MM = 1.0, 5.0
 
@@ -26,13 +27,18 @@ class SwitchEnv(TactileTaskEnv[SwitchScene, SwitchSettings]):
     def _solids(self) -> list[SurfaceMesh]:
         return [finger_mesh(), housing_mesh(), *(button_mesh(shape, HIGHEST_MM) for shape in Button)]
 
-    def _start(self, options: dict[str, Any], random: np.random.Generator) -> SwitchScene:
+    def choose_start(
+        self,
+        options: Mapping[str, Any],
+        random: np.random.Generator,
+        settings: SwitchSettings,
+    ) -> SwitchStart:
+        """Return the start that the options give; what they leave open is drawn: shape, then height."""
         shape = choose_shape(self.env_id, options, self._shapes, random)
         wanted = options.get("height_mm", (random.uniform(LOWEST_MM, HIGHEST_MM),))
-        (height_mm,) = numbers(self.env_id, "height_mm", wanted, 1, "expected (height) in mm")
-        if not LOWEST_MM <= height_mm <= HIGHEST_MM:
-            raise refusal(self.env_id, "height_mm", wanted, f"expected {LOWEST_MM:g} to {HIGHEST_MM:g} mm")
-        return self.scene_type(shape, height_mm, meshes=self._meshes, settings=self.settings, clocks=self._clocks)
+        expected = f"expected (height) of {LOWEST_MM:g} to {HIGHEST_MM:g} mm"
+        (height_mm,) = numbers(self.env_id, "height_mm", wanted, [(LOWEST_MM, HIGHEST_MM)], expected)
+        return SwitchStart(shape=shape, height_mm=height_mm)
 
     def _error(self) -> float:
         scene = self.task_scene

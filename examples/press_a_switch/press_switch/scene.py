@@ -47,6 +47,14 @@ class SwitchSettings:
     markers: MarkerSettings = field(default_factory=MarkerSettings)
 
 
+@dataclass(frozen=True, kw_only=True)
+class SwitchStart:
+    """Start of an episode: which button it is, and how high above the housing."""
+
+    shape: Button
+    height_mm: float
+
+
 def finger_mesh() -> SurfaceMesh:
     """Return the finger, its lower face at z = 0."""
     half = 0.5 * FINGER_MM
@@ -70,12 +78,10 @@ class SwitchScene:
 
     mounts: tuple[SensorMount, SensorMount] = UPRIGHT_MOUNTS
 
-    def __init__(
-        self, shape: Button, height_mm: float, *, meshes: Meshes, settings: SwitchSettings, clocks: Clocks
-    ) -> None:
+    def __init__(self, *, start: SwitchStart, meshes: Meshes, settings: SwitchSettings, clocks: Clocks) -> None:
         self.env_steps = 0
-        self.shape = shape  # demonstrations name it
-        self._height_mm, self._settings = height_mm, settings
+        self.shape = start.shape  # demonstrations name it
+        self._height_mm, self._settings = start.height_mm, settings
         finger = finger_mesh()
         self._bottom = np.flatnonzero(finger.vertices_m[:, 2] == 0.0)
         lowest_mm = HOUSING_MM + START_MM
@@ -97,7 +103,7 @@ class SwitchScene:
                 friction=9.5,
             ),
             fixed=fixed_at_origin(housing_mesh(), friction=0.5),
-            others=(fixed_at_origin(button_mesh(shape, height_mm), friction=0.5),),
+            others=(fixed_at_origin(button_mesh(start.shape, start.height_mm), friction=0.5),),
             physics=settings.physics,
             sensors=meshes.sensors(settings.markers),
             clocks=clocks,

@@ -20,6 +20,7 @@ from vitac.envs.tasks.settings import (
     choice,
     choose_shape,
     chosen_shapes,
+    either_way,
     nearest,
     numbers,
     read_task_settings,
@@ -83,11 +84,12 @@ def test_choice_is_one_of_a_closed_set() -> None:
         choice("Toy-v1", "side", "up", Side)
 
 
-@pytest.mark.parametrize("value", [None, 1.0, (1.0,), (1.0, 2.0, 3.0), (1.0, float("nan")), ("a", "b")])
-def test_numbers_are_so_many_and_finite(value: Any) -> None:
+@pytest.mark.parametrize("value", [None, 1.0, (1.0,), (1.0, 2.0, 3.0), (1.0, float("nan")), ("a", "b"), (1.0, 2.1)])
+def test_numbers_are_so_many_and_in_their_ranges(value: Any) -> None:
     with pytest.raises(ResetOptionsError, match=r"option 'place_mm' is .*, expected two numbers"):
-        numbers("Toy-v1", "place_mm", value, 2, "expected two numbers")
-    assert numbers("Toy-v1", "place_mm", (1, np.float32(2)), 2, "expected two numbers") == [1.0, 2.0]
+        numbers("Toy-v1", "place_mm", value, either_way(2.0, 2.0), "expected two numbers")
+    usable = (1, np.float32(2))
+    assert numbers("Toy-v1", "place_mm", usable, either_way(2.0, 2.0), "expected two numbers") == [1.0, 2.0]
 
 
 @pytest.mark.parametrize("value", [(), (-1,), "seed", 1.5, (0, "1")])

@@ -4,13 +4,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from vitac.envs.tasks.fusion_insertion.env import choose_start
-from vitac.envs.tasks.fusion_insertion.scene import FusionOffset, FusionShape, FusionStart, Target
+from vitac.envs.tasks.fusion_insertion.env import FusionInsertionEnv
+from vitac.envs.tasks.fusion_insertion.scene import FusionOffset, FusionStart, Target
 from vitac.envs.tasks.settings import ResetOptionsError
 
+ENV = FusionInsertionEnv()
 
-def start(options: dict[str, Any], seed: int = 0) -> FusionStart:
-    return choose_start(options, np.random.default_rng(seed), xy_mm=5.0, theta_deg=10.0, z_mm=(3.0, 9.0))
+
+def start(options: dict[str, Any], seed: int = 0, env: FusionInsertionEnv = ENV) -> FusionStart:
+    return env.choose_start(options, np.random.default_rng(seed), env.settings)
 
 
 def test_left_start_counts_from_the_hexagonal_hole() -> None:
@@ -70,16 +72,7 @@ def test_directions_are_those_of_the_challenge() -> None:
 
 @pytest.mark.parametrize(("shape", "target"), [("hexagon", Target.LEFT), ("cuboid", Target.RIGHT)])
 def test_one_shape_that_may_be_drawn_fixes_the_side_and_nothing_else(shape: str, target: Target) -> None:
-    found = [
-        choose_start(
-            {},
-            np.random.default_rng(seed),
-            shapes=(FusionShape(shape),),
-            xy_mm=5.0,
-            theta_deg=10.0,
-            z_mm=(3.0, 9.0),
-        )
-        for seed in range(8)
-    ]
+    env = FusionInsertionEnv(shapes=[shape])
+    found = [start({}, seed, env) for seed in range(8)]
     assert {each.target for each in found} == {target}
     assert [each.offset.x_mm for each in found] == [start({}, seed).offset.x_mm for seed in range(8)]

@@ -3,7 +3,7 @@ from typing import Any
 import numpy as np
 import pytest
 from vitac.envs.geometry.keys_and_locks import KeyShape
-from vitac.envs.tasks.lock_opening.env import choose_start
+from vitac.envs.tasks.lock_opening.env import LockOpeningEnv
 from vitac.envs.tasks.lock_opening.scene import KeyOffset, LockStart, SensorJitter
 from vitac.envs.tasks.settings import ResetOptionsError
 
@@ -14,14 +14,17 @@ GOLDEN_START = LockStart(
 )
 
 
+ENV = LockOpeningEnv()
+
+
 def start(options: dict[str, Any], seed: int = 0) -> LockStart:
-    return choose_start(options, np.random.default_rng(seed), x_mm=5.0, jitter_mm=2.0)
+    return ENV.choose_start(options, np.random.default_rng(seed), ENV.settings)
 
 
 def test_given_start_is_taken_and_draws_nothing() -> None:
     random = np.random.default_rng(0)
     options = {"shape": "key3", "offset_mm": (4.75, 0, 0), "sensor_jitter_mm": (-1.5, 0.25)}
-    chosen = choose_start(options, random, x_mm=5.0, jitter_mm=2.0)
+    chosen = ENV.choose_start(options, random, ENV.settings)
     assert chosen.shape is KeyShape.KEY3
     assert chosen.offset == KeyOffset(x_mm=4.75, y_mm=0.0, z_mm=0.0)
     assert chosen.jitter == SensorJitter(x_mm=-1.5, z_mm=0.25)
@@ -69,4 +72,4 @@ def test_unusable_jitter_is_refused(jitter: Any) -> None:
 def test_golden_random_starts_are_pinned() -> None:
     """The draws of a random start belong to the evaluator version."""
     random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([0, 1])))
-    assert choose_start({}, random, x_mm=5.0, jitter_mm=2.0) == GOLDEN_START
+    assert ENV.choose_start({}, random, ENV.settings) == GOLDEN_START

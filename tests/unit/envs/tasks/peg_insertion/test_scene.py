@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.tasks.insertion.interface import PegOffset
-from vitac.envs.tasks.peg_insertion.env import choose_start, is_blocked, random_blocked_offset
-from vitac.envs.tasks.peg_insertion.scene import PegStart
+from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv, is_blocked
+from vitac.envs.tasks.peg_insertion.scene import PegInsertionSettings, PegStart
 from vitac.envs.tasks.settings import ResetOptionsError
 
 GOLDEN_STARTS = [
@@ -14,13 +14,16 @@ GOLDEN_STARTS = [
 ]
 
 
+ENV = PegInsertionEnv()
+
+
 def start(options: dict[str, Any], seed: int = 0) -> PegStart:
-    return choose_start(options, np.random.default_rng(seed), xy_mm=5.0, theta_deg=10.0)
+    return ENV.choose_start(options, np.random.default_rng(seed), ENV.settings)
 
 
 def test_given_start_is_taken_and_draws_nothing() -> None:
     random = np.random.default_rng(0)
-    chosen = choose_start({"shape": "trapezoid", "offset_mm_deg": (-4, 3, 6)}, random, xy_mm=5.0, theta_deg=10.0)
+    chosen = ENV.choose_start({"shape": "trapezoid", "offset_mm_deg": (-4, 3, 6)}, random, ENV.settings)
     assert chosen == PegStart(shape=PegShape.TRAPEZOID, offset=PegOffset(x_mm=-4.0, y_mm=3.0, theta_deg=6.0))
     assert random.bit_generator.state == np.random.default_rng(0).bit_generator.state
 
@@ -56,7 +59,8 @@ def test_random_starts_are_blocked_and_within_range() -> None:
 
 def test_free_offsets_are_drawn_again() -> None:
     random = np.random.default_rng(2)
-    offset = random_blocked_offset(PegShape.CUBOID, random, xy_mm=1.6, theta_deg=0.0)
+    settings = PegInsertionSettings(random_xy_mm=1.6, random_theta_deg=0.0)
+    offset = ENV.choose_start({"shape": "cuboid"}, random, settings).offset
     assert max(abs(offset.x_mm), abs(offset.y_mm)) >= 1.5
     assert random.bit_generator.state != np.random.default_rng(2).bit_generator.state
 
@@ -82,7 +86,7 @@ def test_cuboid_is_blocked_where_its_corners_leave_the_hole(offset: tuple[float,
 def test_golden_random_starts_are_pinned() -> None:
     """The draws of a random start belong to the evaluator version."""
     random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([0, 1])))
-    drawn = [choose_start({}, random, xy_mm=5.0, theta_deg=10.0) for _ in range(2)]
+    drawn = [ENV.choose_start({}, random, ENV.settings) for _ in range(2)]
     assert [(str(chosen.shape), chosen.offset) for chosen in drawn] == GOLDEN_STARTS
 
 
