@@ -17,9 +17,8 @@ from ..episodes.reading import make_reading
 from ..episodes.records import EpisodeRecord
 from ..scoring.failures import is_broken
 from ..submission.manifest import load_manifest
-from ..tracks import Episode, Task, Track
-from ..tracks.cut import ShardEpisodes
-from .order import ShardEnd, ShardOrder, ShardResult
+from ..tracks import Episode
+from .order import OrderedShard, ShardEnd, ShardResult
 from .policy import LoadPolicy, load_in_sandbox, run_shard, secret_order
 
 if TYPE_CHECKING:
@@ -31,12 +30,7 @@ class MachineTooSmall(VitacError):
 
 
 def run_batches(
-    order: ShardOrder,
-    track: Track,
-    task: Task,
-    shard: ShardEpisodes,
-    on_episode: Callable[[EpisodeRecord], None],
-    load_policy: LoadPolicy = load_in_sandbox,
+    ordered: OrderedShard, on_episode: Callable[[EpisodeRecord], None], load_policy: LoadPolicy = load_in_sandbox
 ) -> ShardResult:
     """Share the episodes of a shard out among the scenes of a batch, and play each part as a shard of its own.
 
@@ -46,10 +40,7 @@ def run_batches(
     plays alone.
 
     Args:
-        order: of the shard.
-        track: the track of the task.
-        task: what is played.
-        shard: which episodes.
+        ordered: what is played.
         on_episode: gets each record as soon as its episode is over, one at a time.
         load_policy: loads the policy of a submission; in the sandbox by default.
 
@@ -59,6 +50,7 @@ def run_batches(
     """
     from vitac.envs.maniskill.batch import Batch
 
+    order, task, shard = ordered.order, ordered.task, ordered.shard
     reading = make_reading(task, load_manifest(order.submission).read_keys)
     episodes = secret_order(episode for episode in shard.episodes if episode.number not in order.skip)
     size = max(1, min(task.definition.batch_size, len(episodes)))
@@ -76,7 +68,7 @@ def run_batches(
     def play(part: tuple[Episode, ...], env: "ManiSkillEnv") -> ShardResult:
         return run_shard(
             submission_dir=order.submission,
-            track=track,
+            track=ordered.track,
             task=task,
             shard=replace(shard, episodes=part),
             on_episode=finished,

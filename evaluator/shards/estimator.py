@@ -14,9 +14,8 @@ from ..estimator.calibration import EstimatorSession, calibrated
 from ..figures.figures import FigureChoice, FiguresPart, StartFigures
 from ..figures.starts import Measurement, measured_episodes
 from ..sensors.made import read_design
-from ..tracks import Player, Task, Track
-from ..tracks.cut import ShardEpisodes
-from .order import ShardOrder, ShardResult
+from ..tracks import Player
+from .order import OrderedShard, ShardResult
 from .policy import run_shard
 
 _PROBLEM_CHARACTERS = 500
@@ -26,9 +25,7 @@ class NoSensor(VitacError):
     """The standard estimator was to play without a sensor; only submissions of sensors have tasks for it."""
 
 
-def run_estimator(
-    order: ShardOrder, track: Track, task: Task, shard: ShardEpisodes, on_episode: Callable[[EpisodeRecord], None]
-) -> ShardResult:
+def run_estimator(ordered: OrderedShard, on_episode: Callable[[EpisodeRecord], None]) -> ShardResult:
     """Calibrate the estimator to the order's sensor, or take what the order or this process has, and play the shard.
 
     Where the order asks for the sensor's figures, they are measured at the starts of its episodes, so that they are
@@ -38,6 +35,7 @@ def run_estimator(
         NoSensor: the order has none.
         VitacError: the sensor or the environment broke.
     """
+    order, task = ordered.order, ordered.task
     if order.sensor is None:
         raise NoSensor(f"Expected a sensor for {task.name}, got none.")
     coefficients = order.coefficients or calibrated(task, order.sensor)
@@ -47,7 +45,7 @@ def run_estimator(
     def load(_folder: Path, _limits: object) -> nullcontext[EstimatorSession]:
         return nullcontext(session)
 
-    figures = _Figures(Measurement(task, design, coefficients), task, shard, order.figures)
+    figures = _Figures(Measurement(task, design, coefficients), ordered)
 
     def played(record: EpisodeRecord) -> None:
         on_episode(record)
@@ -55,9 +53,9 @@ def run_estimator(
 
     result = run_shard(
         submission_dir=order.submission,
-        track=track,
+        track=ordered.track,
         task=task,
-        shard=shard,
+        shard=ordered.shard,
         on_episode=played,
         reading=make_reading(task),
         skip=order.skip,
@@ -70,11 +68,11 @@ def run_estimator(
 class _Figures:
     """Measures a shard's part of the figures, start after start as its episodes end."""
 
-    def __init__(self, measurement: Measurement, task: Task, shard: ShardEpisodes, choice: FigureChoice) -> None:
+    def __init__(self, measurement: Measurement, ordered: OrderedShard) -> None:
         self._measurement = measurement
-        self._choice = choice
-        wanted = measured_episodes(task) if choice is FigureChoice.ALL else frozenset[int]()
-        self._waiting = {episode.number: episode for episode in shard.episodes if episode.number in wanted}
+        self._choice = ordered.order.figures
+        wanted = measured_episodes(ordered.task) if self._choice is FigureChoice.ALL else frozenset[int]()
+        self._waiting = {episode.number: episode for episode in ordered.shard.episodes if episode.number in wanted}
         self._starts: dict[int, StartFigures] = {}
         self._problem: str | None = None
 

@@ -4,10 +4,8 @@ Of an uploaded log and a 2025 text log the recorded actions are re-simulated; of
 because the 2025 simulator does not reproduce itself.
 """
 
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from functools import partial
-from pathlib import Path
 from types import MappingProxyType
 from typing import IO, TYPE_CHECKING
 
@@ -30,78 +28,56 @@ from ..logs.verification import check_episode
 from ..sensors.made import read_design
 from ..submission.manifest import load_manifest
 from ..submission_kinds import SubmissionKind
-from ..tracks import Player, Task, Track
-from ..tracks.cut import ShardEpisodes, cut
+from ..tracks import Player, Task
+from ..tracks.cut import cut
 from ..tracks.registry import find_version
 from ..tracks.sealed import load_played_track, read_secret
 from .batch import run_batches
 from .estimator import run_estimator
-from .order import ShardEnd, ShardMessage, ShardOrder, ShardResult
+from .order import OrderedShard, ShardEnd, ShardMessage, ShardOrder, ShardResult
 from .policy import LoadPolicy, Preparation, load_in_sandbox, load_remote, run_shard
 
 if TYPE_CHECKING:
     from vitac.envs.tactile.design import SensorDesign
 
 
-@dataclass(frozen=True, kw_only=True)
-class LogShard:
-    """A shard of an uploaded log that is to be re-simulated.
-
-    Attributes:
-        log: the file, packed or not.
-        track: the track of the task.
-        task: what was played.
-        shard: which episodes.
-        skip: those of them that have a record already.
-        make_env: gives the environment.
-    """
-
-    log: Path
-    track: Track
-    task: Task
-    shard: ShardEpisodes
-    skip: Collection[int] = ()
-    make_env: MakeEnvironment = make_environment
-
-    @property
-    def numbers(self) -> frozenset[int]:
-        """Episodes that are left to re-simulate."""
-        return self.shard.numbers - set(self.skip)
-
-    def result(self, manifest: Manifest, finding: LogFinding | None) -> ShardResult:
-        """Return what the shard ends with."""
-        end = ShardEnd.REFUTED if finding else ShardEnd.COMPLETE
-        return ShardResult(index=self.shard.index, end=end, manifest=manifest, isolation=None, finding=finding)
+OnEpisode = Callable[[EpisodeRecord], None]
 
 
-def resimulate_log(part: LogShard, on_episode: Callable[[EpisodeRecord], None]) -> ShardResult:
+def resimulate_log(
+    part: OrderedShard, on_episode: OnEpisode, make_env: MakeEnvironment = make_environment
+) -> ShardResult:
     """Re-simulate a shard of one of our logs, in the order of its episodes and until one diverges.
 
     Args:
         part: what is re-simulated.
         on_episode: gets each record of the re-simulation that holds.
+        make_env: gives the environment.
 
     Raises:
         LogRejected: the log cannot be read.
     """
-    env = part.make_env(part.task, None, ())
+    env = make_env(part.task, None, ())
     manifest = make_manifest(part.track, part.task, env)
     finding = _explain_impossible(part, manifest) or _first_divergence(part, env, on_episode)
-    return part.result(manifest, finding)
+    return _make_log_result(part, manifest, finding)
 
 
-def _explain_impossible(part: LogShard, manifest: Manifest) -> LogFinding | None:
-    """Return the upload was checked, but not against the mesh and the solver, which only an environment knows."""
-    with open_log(part.log) as stream:
+def _make_log_result(part: OrderedShard, manifest: Manifest, finding: LogFinding | None) -> ShardResult:
+    end = ShardEnd.REFUTED if finding else ShardEnd.COMPLETE
+    return ShardResult(index=part.shard.index, end=end, manifest=manifest, isolation=None, finding=finding)
+
+
+def _explain_impossible(part: OrderedShard, manifest: Manifest) -> LogFinding | None:
+    """Return why the log cannot be true; at its upload it was not compared with the mesh and the solver of here."""
+    with open_log(part.order.submission) as stream:
         reader = LogReader(stream)
         impossibility = explain_impossible(must_agree(manifest), part.task, reader.header, reader.records())
     return LogFinding.impossible(impossibility) if impossibility else None
 
 
-def _first_divergence(
-    part: LogShard, env: Environment, on_episode: Callable[[EpisodeRecord], None]
-) -> LogFinding | None:
-    with open_log(part.log) as stream:
+def _first_divergence(part: OrderedShard, env: Environment, on_episode: OnEpisode) -> LogFinding | None:
+    with open_log(part.order.submission) as stream:
         reader = LogReader(stream)
         for record in reader.records():
             if record.episode not in part.numbers:
@@ -113,28 +89,31 @@ def _first_divergence(
     return None
 
 
-def resimulate_text_log(part: LogShard, on_episode: Callable[[EpisodeRecord], None]) -> ShardResult:
+def resimulate_text_log(
+    part: OrderedShard, on_episode: OnEpisode, make_env: MakeEnvironment = make_environment
+) -> ShardResult:
     """Re-simulate a shard of a text log.
 
     Args:
         part: what is re-simulated.
         on_episode: gets each record of the re-simulation.
+        make_env: gives the environment.
 
     Raises:
         TextLogRejected: the log cannot be read.
     """
-    with open_log(part.log) as stream:
+    with open_log(part.order.submission) as stream:
         text_log = read_text_log(stream)
-    env = part.make_env(part.task.apply_text_log_settings(), None, ())
+    env = make_env(part.task.apply_text_log_settings(), None, ())
     manifest = make_manifest(part.track, part.task, env)
     script = summarize(text_log)[0]
     impossible = explain_not_resimulated(text_log, script, part.task)
     if impossible:
-        return part.result(manifest, LogFinding.impossible(impossible))
+        return _make_log_result(part, manifest, LogFinding.impossible(impossible))
     for recording in text_log_recordings(text_log, script, part.task):
         if recording.episode.number in part.numbers:
             on_episode(_record(part.task, recording, resimulate(env, recording.episode, recording.actions)))
-    return part.result(manifest, None)
+    return _make_log_result(part, manifest, None)
 
 
 def _record(task: Task, recording: Recording, played: Resimulated) -> EpisodeRecord:
@@ -159,19 +138,6 @@ def _record(task: Task, recording: Recording, played: Resimulated) -> EpisodeRec
 
 class OtherEvaluator(VitacError):
     """The process of a shard has another evaluator than the evaluation began with; start its worker again."""
-
-
-OnEpisode = Callable[[EpisodeRecord], None]
-
-
-@dataclass(frozen=True, kw_only=True)
-class OrderedShard:
-    """An order with what it names."""
-
-    order: ShardOrder
-    track: Track
-    task: Task
-    shard: ShardEpisodes
 
 
 Runner = Callable[[OrderedShard, Preparation, OnEpisode], ShardResult]
@@ -210,10 +176,16 @@ def _make_result(order: ShardOrder, preparation: Preparation, send: Callable[[Sh
     task = track.tasks[order.task]
     shard = next(shard for shard in cut(task, order.episodes) if shard.index == order.shard)
     ordered = OrderedShard(order=order, track=track, task=task, shard=shard)
-    runner = RUNNERS[order.kind] if task.player is Player.POLICY else _run_estimator
+
+    def on_episode(record: EpisodeRecord) -> None:
+        send(ShardMessage(record=record))
+
+    if task.player is not Player.POLICY:
+        return run_estimator(ordered, on_episode)
+    runner = RUNNERS[order.kind]
     if runner is _run_policy and order.kind is SubmissionKind.MODEL and order.remote is None:
         send(ShardMessage(packages=policy_versions(order.submission, track.packages)))
-    return runner(ordered, preparation, lambda record: send(ShardMessage(record=record)))
+    return runner(ordered, preparation, on_episode)
 
 
 def _run_policy(ordered: OrderedShard, preparation: Preparation, on_episode: OnEpisode) -> ShardResult:
@@ -229,7 +201,7 @@ def _run_policy(ordered: OrderedShard, preparation: Preparation, on_episode: OnE
             kind=order.kind,
         )
     if ordered.task.definition.batch_size > 1:
-        return run_batches(order, ordered.track, ordered.task, ordered.shard, on_episode, load)
+        return run_batches(ordered, on_episode, load)
     preparation.begin(order)
     return run_shard(
         submission_dir=order.submission,
@@ -247,33 +219,16 @@ def _run_policy(ordered: OrderedShard, preparation: Preparation, on_episode: OnE
     )
 
 
-def _run_estimator(ordered: OrderedShard, _: Preparation, on_episode: OnEpisode) -> ShardResult:
-    return run_estimator(ordered.order, ordered.track, ordered.task, ordered.shard, on_episode)
-
-
 def _find_sensor(order: ShardOrder) -> "SensorDesign | None":
     return read_design(order.sensor) if order.sensor else None
-
-
-def _run_log(ordered: OrderedShard, _: Preparation, on_episode: OnEpisode) -> ShardResult:
-    return resimulate_log(_part(ordered), on_episode)
-
-
-def _run_text_log(ordered: OrderedShard, _: Preparation, on_episode: OnEpisode) -> ShardResult:
-    return resimulate_text_log(_part(ordered), on_episode)
-
-
-def _part(ordered: OrderedShard) -> LogShard:
-    order = ordered.order
-    return LogShard(log=order.submission, track=ordered.track, task=ordered.task, shard=ordered.shard, skip=order.skip)
 
 
 RUNNERS: Mapping[SubmissionKind, Runner] = MappingProxyType(
     {
         SubmissionKind.MODEL: _run_policy,
         SubmissionKind.IMAGE: _run_policy,
-        SubmissionKind.LOG: _run_log,
+        SubmissionKind.LOG: lambda ordered, _, on_episode: resimulate_log(ordered, on_episode),
         SubmissionKind.REMOTE: _run_policy,
-        SubmissionKind.TEXT_LOG: _run_text_log,
+        SubmissionKind.TEXT_LOG: lambda ordered, _, on_episode: resimulate_text_log(ordered, on_episode),
     }
 )

@@ -3,6 +3,7 @@
 import struct
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Final
@@ -20,7 +21,8 @@ from ..isolation_kinds import IsolationKind
 from ..logs.findings import LogFinding
 from ..strict_model import StrictModel
 from ..submission_kinds import SubmissionKind
-from ..tracks import load_track
+from ..tracks import Task, Track, load_track
+from ..tracks.cut import ShardEpisodes
 
 
 class ShardEnd(StrEnum):
@@ -130,6 +132,21 @@ class ShardOrder(StrictModel):
         with suppress(VitacError, KeyError):  # whoever carries the order out says what there is not
             return is_maniskill(load_track(self.track).tasks[self.task].env_id)
         return False
+
+
+@dataclass(frozen=True, kw_only=True)
+class OrderedShard:
+    """An order with what it names."""
+
+    order: ShardOrder
+    track: Track
+    task: Task
+    shard: ShardEpisodes
+
+    @property
+    def numbers(self) -> frozenset[int]:
+        """Episodes that have no record yet."""
+        return self.shard.numbers - set(self.order.skip)
 
 
 class ShardMessage(StrictModel):

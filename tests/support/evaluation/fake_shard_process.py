@@ -18,10 +18,9 @@ from vitac.evaluator.agent.verdicts import SandboxFailed
 from vitac.evaluator.estimator import calibration
 from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.shards import execution, host
-from vitac.evaluator.shards.order import ShardEnd, ShardOrder, ShardResult
+from vitac.evaluator.shards.order import OrderedShard, ShardEnd, ShardResult
 from vitac.evaluator.submission.manifest import SubmissionManifest
 from vitac.evaluator.tracks import Task
-from vitac.evaluator.tracks.cut import ShardEpisodes
 
 
 def hang(_: int, step: int) -> Any:
@@ -89,15 +88,14 @@ def calibrated(_: Task, sensor: Path, on_start: Callable[[int, int], None]) -> C
     return Coefficients(mesh_hash="0" * 64, starts=int(starts.read_text()), regressions=())
 
 
-def run_estimator(
-    order: ShardOrder, _track: object, task: Task, shard: ShardEpisodes, _on_episode: object
-) -> ShardResult:
+def run_estimator(ordered: OrderedShard, _on_episode: object) -> ShardResult:
     """Plays nothing, and tells with what it would have played."""
+    order, task = ordered.order, ordered.task
     assert order.sensor is not None
     manifest, handed_over = make_manifest(task=task.name), calibration.is_calibrated(task, order.sensor)
     coefficients = order.coefficients or (calibration.calibrated(task, order.sensor) if handed_over else None)
     return ShardResult(
-        index=shard.index, end=ShardEnd.COMPLETE, manifest=manifest, isolation=None, coefficients=coefficients
+        index=ordered.shard.index, end=ShardEnd.COMPLETE, manifest=manifest, isolation=None, coefficients=coefficients
     )
 
 

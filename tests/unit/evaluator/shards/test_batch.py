@@ -26,7 +26,7 @@ from vitac.evaluator.logs.verification import verify
 from vitac.evaluator.scoring.failures import breaking_failure
 from vitac.evaluator.shards.batch import MachineTooSmall, run_batches
 from vitac.evaluator.shards.execution import execute
-from vitac.evaluator.shards.order import ShardEnd, ShardMessage, ShardOrder, ShardResult
+from vitac.evaluator.shards.order import OrderedShard, ShardEnd, ShardMessage, ShardOrder, ShardResult
 from vitac.evaluator.shards.policy import Preparation
 from vitac.evaluator.strict_model import parse_yaml
 from vitac.evaluator.submission_kinds import SubmissionKind
@@ -111,7 +111,7 @@ def order(folder: Path, **changes: Any) -> ShardOrder:
     )  # fmt: skip
 
 
-def run(ordered: ShardOrder, load: Any) -> tuple[ShardResult, dict[int, EpisodeRecord]]:
+def run(order: ShardOrder, load: Any) -> tuple[ShardResult, dict[int, EpisodeRecord]]:
     records: list[EpisodeRecord] = []
     busy = threading.Lock()
 
@@ -120,7 +120,8 @@ def run(ordered: ShardOrder, load: Any) -> tuple[ShardResult, dict[int, EpisodeR
         records.append(record)
         busy.release()
 
-    result = run_batches(ordered, TRACK, TASK, FIRST, note, load_policy=load)
+    ordered = OrderedShard(order=order, track=TRACK, task=TASK, shard=FIRST)
+    result = run_batches(ordered, note, load_policy=load)
     assert len({record.episode for record in records}) == len(records)
     return result, {record.episode: record for record in records}
 

@@ -11,7 +11,7 @@ from vitac.evaluator.figures import starts
 from vitac.evaluator.figures.figures import FigureChoice, StartFigures, Variation
 from vitac.evaluator.figures.starts import Measurement
 from vitac.evaluator.shards import estimator
-from vitac.evaluator.shards.order import ShardEnd, ShardOrder, ShardResult
+from vitac.evaluator.shards.order import OrderedShard, ShardEnd, ShardOrder, ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Episode, load_track
 from vitac.evaluator.tracks.cut import cut
@@ -53,7 +53,8 @@ def run(
         **changes,
     )
     records: list[EpisodeRecord] = []
-    return estimator.run_estimator(order, TRACK, TRACK.tasks[task], shard, records.append), records
+    ordered = OrderedShard(order=order, track=TRACK, task=TRACK.tasks[task], shard=shard)
+    return estimator.run_estimator(ordered, records.append), records
 
 
 def test_blind_run_measures_at_the_starts_of_its_shard(folder: Path) -> None:

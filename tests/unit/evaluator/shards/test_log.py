@@ -10,8 +10,9 @@ from vitac.evaluator.episodes.provenance import make_manifest
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.logs.log import LogHeader, write_log
-from vitac.evaluator.shards.execution import LogShard, resimulate_log
-from vitac.evaluator.shards.order import ShardEnd, ShardResult
+from vitac.evaluator.shards.execution import resimulate_log
+from vitac.evaluator.shards.order import OrderedShard, ShardEnd, ShardOrder, ShardResult
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks.cut import cut
 
 TRACK = small_track(shard_size=6)
@@ -40,10 +41,11 @@ def write(path: Path, records: list[EpisodeRecord], **manifest: str) -> Path:
 
 def resimulated(log: Path, shard: int = 0, skip: tuple[int, ...] = ()) -> tuple[ShardResult, list[EpisodeRecord]]:
     records: list[EpisodeRecord] = []
-    part = LogShard(
-        log=log, track=TRACK, task=TASK, shard=cut(TASK)[shard], skip=skip, make_env=lambda *_: FakeEnvironment()
+    order = ShardOrder(
+        kind=SubmissionKind.LOG, submission=log, track=TRACK.name, task=TASK.name, shard=shard, skip=skip
     )
-    return resimulate_log(part, records.append), records
+    part = OrderedShard(order=order, track=TRACK, task=TASK, shard=cut(TASK)[shard])
+    return resimulate_log(part, records.append, lambda *_: FakeEnvironment()), records
 
 
 def lie(number: int) -> list[EpisodeRecord]:

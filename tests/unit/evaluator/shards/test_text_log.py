@@ -12,9 +12,10 @@ from vitac.evaluator.logs.findings import ImpossibleReason
 from vitac.evaluator.logs.text_2025 import read_text_log, summarize
 from vitac.evaluator.logs.text_2025.recordings import explain_not_resimulated, text_log_recordings
 from vitac.evaluator.logs.text_2025.scripts import all_scripts
-from vitac.evaluator.shards.execution import LogShard, resimulate_text_log
-from vitac.evaluator.shards.order import ShardEnd, ShardResult
-from vitac.evaluator.tracks import Task, load_track
+from vitac.evaluator.shards.execution import resimulate_text_log
+from vitac.evaluator.shards.order import OrderedShard, ShardEnd, ShardOrder, ShardResult
+from vitac.evaluator.submission_kinds import SubmissionKind
+from vitac.evaluator.tracks import Task, Track, load_track
 from vitac.evaluator.tracks.cut import cut
 
 TRACK = load_track("track_1")
@@ -76,10 +77,15 @@ def written(path: Path, episodes: list[dict[str, Any]], script: Any = PEG) -> Pa
 def resimulated(log: Path, shard: int, skip: tuple[int, ...] = ()) -> tuple[ShardResult, list[EpisodeRecord]]:
     records: list[EpisodeRecord] = []
     task = TASKS[PEG.name]
-    part = LogShard(
-        log=log, track=TRACK, task=task, shard=cut(task)[shard], skip=skip, make_env=lambda *_: FakeEnvironment()
+    part = ordered(log, TRACK, task, shard, skip)
+    return resimulate_text_log(part, records.append, lambda *_: FakeEnvironment()), records
+
+
+def ordered(log: Path, track: Track, task: Task, shard: int, skip: tuple[int, ...] = ()) -> OrderedShard:
+    order = ShardOrder(
+        kind=SubmissionKind.TEXT_LOG, submission=log, track=track.name, task=task.name, shard=shard, skip=skip
     )
-    return resimulate_text_log(part, records.append), records
+    return OrderedShard(order=order, track=track, task=task, shard=cut(task)[shard])
 
 
 def test_episode_ends_where_our_physics_ends_it(tmp_path: Path) -> None:
@@ -103,8 +109,7 @@ def test_a_log_of_track_3_is_played_with_the_settings_under_which_it_was_made(tm
     task = track.tasks["sensor-design"]
     log = written(tmp_path / "log", whole_list(DESIGN, [(0.5, 0, 0)]), DESIGN)
     records: list[EpisodeRecord] = []
-    part = LogShard(log=log, track=track, task=task, shard=cut(task)[0], make_env=make_env)
-    assert resimulate_text_log(part, records.append).end is ShardEnd.COMPLETE
+    assert resimulate_text_log(ordered(log, track, task, 0), records.append, make_env).end is ShardEnd.COMPLETE
     assert asked[0].settings == task.settings | {"gripper_z_mm": 0.0, "indentation_mm": 1.0, "z_step_mm": 0.075}
     assert [(record.shape, record.initial_offset) for record in records] == [
         (episode.shape, episode.offset) for episode in task.episodes[:27]
