@@ -208,7 +208,7 @@ def _episode(env: Environment, task: Task, number: int) -> Iterator[Sample]:
     for env_step in range(ENV_STEPS):
         if info["end_reason"] is not None:
             return
-        offset = rotate_to_gripper(_floats(info["gt_offset_mm_deg"]))
+        offset = rotate_to_gripper([float(value) for value in info["gt_offset_mm_deg"]])
         yield env_step, append_motion(compute_features(cast(Any, observation["marker_flow"])), motion, scale), offset
         if env_step == ENV_STEPS - 1:
             return
@@ -223,10 +223,6 @@ def _action(offset: Vector, scale: Vector, random: np.random.Generator) -> list[
         -(part * value + side * width) for part, value, side, width in zip(parts, offset, beside, _BESIDE, strict=True)
     ]
     return [min(max(value / unit, -1.0), 1.0) for value, unit in zip(wanted, scale, strict=True)]
-
-
-def _floats(values: Any) -> list[float]:
-    return [float(value) for value in values]
 
 
 class EstimatorPolicy:

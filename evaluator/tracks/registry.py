@@ -40,7 +40,7 @@ def load_track(name: str) -> Track:
         UnknownTrack: no such track.
         DocumentRejected: the file is not a valid track.
     """
-    files = _track_files()
+    files = _find_track_files(os.environ.get(TRACKS_FOLDER_VARIABLE))
     if name not in files:
         raise UnknownTrack(
             f"There is no track {name!r}; the tracks are {', '.join(list_tracks())}. Others are read from the folder "
@@ -74,10 +74,6 @@ def further_track_files() -> Mapping[str, Path]:
     """Return the track files of the folder that VITAC_TRACKS_DIR names, by track; none where it names no folder."""
     folder = os.environ.get(TRACKS_FOLDER_VARIABLE)
     return _further_files(folder) if folder else {}
-
-
-def _track_files() -> Mapping[str, Path]:
-    return _find_track_files(os.environ.get(TRACKS_FOLDER_VARIABLE))
 
 
 @cache

@@ -247,13 +247,7 @@ def team_view(team: Team, names_shown: ShownNames) -> TeamView:
 
 def organizer_team_view(session: Session, team: Team) -> OrganizerTeamView:
     """Return a team as organizers see it."""
-    return OrganizerTeamView(
-        **dict(team_view(team, ShownNames.read(session, CONSOLE))),
-        contact=team.contact,
-        disqualified_for=team.disqualified_for,
-        approved_at=team.approved_at,
-        refused_for=team.refused_for,
-    )
+    return OrganizerTeamView.from_row(team, **dict(team_view(team, ShownNames.read(session, CONSOLE))))
 
 
 def name_key(name: str) -> str:

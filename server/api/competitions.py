@@ -28,6 +28,7 @@ from ..decisions.exporting import export_receipts
 from ..decisions.publishing import archive_view, result_files
 from ..errors import ProblemCode, ServiceError
 from ..submissions import stage_files
+from ..views.base import View
 from ..views.competition import AdvancementView, ArchiveView, CompetitionListView, CompetitionView, PlannedTrialView
 from .access import ChangingServicesOf, CompetitionOrganizerOf, OrganizerOf, ServicesOf, VisitorOf
 from .inputs import Input
@@ -93,7 +94,7 @@ class TrialsBegun(BaseModel):
     trials: int
 
 
-class SealedListRow(BaseModel):
+class SealedListRow(View):
     """A sealed list of a stage."""
 
     track: str
@@ -293,14 +294,7 @@ def list_sealed_lists(
     """List the sealed lists of stages: commitments to publish before a stage, secrets once they are revealed."""
     with services.database.transaction() as session:
         return [
-            SealedListRow(
-                track=each.track,
-                stage=each.stage,
-                commitment=each.commitment,
-                withdrawn_at=each.withdrawn_at,
-                revealed_at=each.revealed_at,
-                secret=each.secret if each.revealed_at else None,
-            )
+            SealedListRow.from_row(each, secret=each.secret if each.revealed_at else None)
             for each in sealing.sealed_lists(session, Competition.find(session, competition))
         ]
 
@@ -334,14 +328,7 @@ def reveal_list(
         over.require_over()
         sealed = sealing.reveal(session, principal, over)
         session.flush()
-        return SealedListRow(
-            track=track,
-            stage=stage,
-            commitment=sealed.commitment,
-            withdrawn_at=sealed.withdrawn_at,
-            revealed_at=sealed.revealed_at,
-            secret=None if services.database.is_trial else sealed.secret,
-        )
+        return SealedListRow.from_row(sealed, secret=None if services.database.is_trial else sealed.secret)
 
 
 @router.post("/competitions/{competition}/tracks/{track}/stages/{stage}/final")

@@ -107,9 +107,7 @@ def refuse_reopening(competition: Competition, definition: CompetitionDefinition
 def _make_list(session: Session, by: Principal, stage: Stage, secret: bytes) -> SealedList:
     made = SealedList(
         commitment=make_commitment(secret),
-        competition=stage.competition,
-        track=stage.track,
-        stage=stage.name,
+        **stage.place,
         secret=secret.hex(),
     )
     session.add(made)

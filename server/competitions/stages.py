@@ -14,7 +14,16 @@ from vitac.evaluator.tracks import ListKind
 from vitac.evaluator.tracks.registry import find_version
 
 from ..database.clock import read_clock
-from ..database.models import CompetitionRow, Qualification, SealedList, Submission, Team
+from ..database.models import (
+    Brief,
+    CompetitionRow,
+    EnteredResult,
+    LivePicture,
+    Qualification,
+    SealedList,
+    Submission,
+    Team,
+)
 from ..errors import ProblemCode, ServiceError
 from ..tracks import known_track
 from .definition import AT_ONCE_RUNS, Sealing, StageQuotas, StageRules, TrackRules
@@ -31,6 +40,10 @@ PRACTICE_RULES = StageRules.model_construct(
     list=ListKind.PUBLIC,
 )
 PRACTICE_TRACK = TrackRules.model_construct(title="", stages=(PRACTICE_RULES,))
+
+
+OfStage = Submission | Qualification | SealedList | Brief | EnteredResult | LivePicture
+"""Rows that belong to a stage."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,9 +168,12 @@ class Stage:
         """Whether its board decides something, although everybody knows its list."""
         return self.decides and self.rules.list is ListKind.PUBLIC
 
-    def make_rows(
-        self, table: type[Submission] | type[Qualification] | type[SealedList]
-    ) -> tuple[ColumnElement[bool], ...]:
+    @property
+    def place(self) -> dict[str, str]:
+        """By which names rows, entries of the log and answers say that they belong to this stage."""
+        return {"competition": self.competition, "track": self.track, "stage": self.name}
+
+    def make_rows(self, table: type[OfStage]) -> tuple[ColumnElement[bool], ...]:
         """Return the conditions by which rows of a table belong to this stage."""
         return table.competition == self.competition, table.track == self.track, table.stage == self.name
 

@@ -152,11 +152,8 @@ def _track(name: str, competition: Competition, lists: Lists, now: datetime) -> 
 
 def _stage(stage: Stage, lists: Lists, now: datetime) -> StageView:
     rules, sealed = stage.rules, lists.get((stage.track, stage.name))
-    return StageView(
-        name=stage.name,
-        title=stage.title,
-        opens=rules.opens,
-        closes=rules.closes,
+    return StageView.from_row(
+        rules,
         final_of=stage.live.name if stage.live else None,
         played_since=sealed.played_at if sealed else None,
         is_open=stage.is_open(now),
@@ -169,7 +166,6 @@ def _stage(stage: Stage, lists: Lists, now: datetime) -> StageView:
         attempts=stage.quotas.attempts,
         qualified=rules.qualified.sentence if rules.qualified else None,
         is_planned=rules.plan is not None,
-        answer_s=rules.answer_s,
         brief=rules.brief.sentence if rules.brief else None,
         entered=[EnteredTaskView(**task.model_dump()) for task in rules.entered],
     )

@@ -104,10 +104,7 @@ def confirm(
     for team_id in chosen.keys() - previous.keys():
         facts = stage_facts(stage) | {"team": chosen[team_id]}
         announce(session, NoticeKind.PROMOTED, team_id, f"{stage.subject}/{team_id}/{now.isoformat()}", facts)
-    session.add_all(
-        Qualification(competition=stage.competition, track=stage.track, stage=stage.name, team_id=team_id)
-        for team_id in chosen
-    )
+    session.add_all(Qualification(**stage.place, team_id=team_id) for team_id in chosen)
     session.flush()
     after = {
         "teams": sorted(chosen.values()),
@@ -128,10 +125,8 @@ def _log(session: Session, stage: Stage, before: Stage, chosen: Collection[str])
     append(
         session,
         lambda at: TeamsAdvanced(
+            **stage.place,
             issued_at=at,
-            competition=stage.competition,
-            track=stage.track,
-            stage=stage.name,
             teams=len(chosen),
             submissions=submissions,
         ),

@@ -48,7 +48,7 @@ def hand_in(session: Session, by: Principal, stage: Stage, content: bytes) -> Br
     if brief is not None and brief.accepted is not None:
         raise ServiceError(ProblemCode.STAGE_CLOSED, f"The committee has decided about {team.name}'s brief already.")
     if brief is None:
-        brief = Brief(competition=stage.competition, track=stage.track, stage=stage.name, team_id=team.id)
+        brief = Brief(**stage.place, team_id=team.id)
         session.add(brief)
     brief.content, brief.pages, brief.received_at = content, pages, now
     brief.sha256 = hashlib.sha256(content).hexdigest()
@@ -60,9 +60,7 @@ def hand_in(session: Session, by: Principal, stage: Stage, content: bytes) -> Br
 def list_briefs(session: Session, by: Principal, stage: Stage) -> Sequence[Brief]:
     """Return the briefs that somebody may see: the own team's, all for judges and organizers; in order of arrival."""
     _require_rules(stage)
-    of_stage = select(Brief).where(
-        Brief.competition == stage.competition, Brief.track == stage.track, Brief.stage == stage.name
-    )
+    of_stage = select(Brief).where(*stage.make_rows(Brief))
     received = session.scalars(of_stage.order_by(Brief.received_at, Brief.team_id))
     return [brief for brief in received if by.may_see(brief.team_id, stage.competition)]
 

@@ -70,10 +70,7 @@ def enter(
     )
     before = None if row is None else {"points": row.points, "evidence": row.evidence}
     if row is None:
-        row = EnteredResult(
-            competition=stage.competition, track=stage.track, stage=stage.name, team=player, baseline=baseline,
-            attempt=attempt,
-        )  # fmt: skip
+        row = EnteredResult(**stage.place, team=player, baseline=baseline, attempt=attempt)
         session.add(row)
     row.points, row.evidence, row.entered_by = dict(points), evidence, by.actor
     session.flush()
@@ -94,21 +91,17 @@ def board(session: Session, stage: Stage, by: Principal = VISITOR) -> EnteredBoa
     is_last = stage.track_rules.stages[-1].name == stage.name
     prizes = stage.track_rules.single_prizes if is_last and stage.is_over(read_clock(session)) else ()
     return EnteredBoardView(
-        competition=stage.competition,
-        track=stage.track,
-        stage=stage.name,
+        **stage.place,
         tasks=[EnteredTaskView(**task.model_dump()) for task in tasks],
         entries=[
-            EnteredEntryView(
+            EnteredEntryView.from_row(
+                row,
                 rank=ranks.get(row.team),
                 team=names.show_name(row.team) if row.team is not None else row.baseline or "",
                 is_baseline=row.team is None,
-                attempt=row.attempt,
                 attempts=attempts,
                 points={task.name: row.points.get(task.name, 0) for task in tasks},
                 total=total(stage, row),
-                evidence=row.evidence,
-                entered_at=row.entered_at,
                 prize=prizes[ranks[row.team] - 1].place if 0 < ranks.get(row.team, 0) <= len(prizes) else None,
             )
             for row, attempts in ordered
@@ -137,11 +130,7 @@ def total(stage: Stage, row: EnteredResult) -> float:
 
 
 def _of_stage(stage: Stage) -> Select[EnteredResult]:
-    return select(EnteredResult).where(
-        EnteredResult.competition == stage.competition,
-        EnteredResult.track == stage.track,
-        EnteredResult.stage == stage.name,
-    )
+    return select(EnteredResult).where(*stage.make_rows(EnteredResult))
 
 
 def _find_taking_part(session: Session, stage: Stage, name: str) -> Team:

@@ -107,10 +107,8 @@ def play(session: Session, by: Principal, stage: Stage) -> Sequence[UUID]:
     append(
         session,
         lambda at: FinalListPlayed(
+            **final.place,
             issued_at=at,
-            competition=final.competition,
-            track=final.track,
-            stage=final.name,
             submissions=tuple(submission.id for submission in chosen),
         ),
     )

@@ -25,8 +25,7 @@ def store_picture(session: Session, station: str, code: str, picture: bytes) -> 
         return False
     oldest = read_clock(session) - timedelta(seconds=plan.live_delay_s) - _KEPT
     session.execute(delete(LivePicture).where(LivePicture.station == station, LivePicture.taken_at < oldest))
-    names = {"competition": stage.competition, "track": stage.track, "stage": stage.name}
-    session.add(LivePicture(station=station, picture=picture, **names))
+    session.add(LivePicture(station=station, picture=picture, **stage.place))
     return True
 
 
@@ -42,12 +41,7 @@ def find_picture(session: Session, competition: str, track: str, stage: str, sta
     if delay_s is not None:
         latest = func.now() - timedelta(seconds=delay_s)
         window = (LivePicture.taken_at <= latest, LivePicture.taken_at > latest - _KEPT)
-        of_stage = (
-            LivePicture.competition == played.competition,
-            LivePicture.track == track,
-            LivePicture.stage == stage,
-        )
-        query = select(LivePicture).where(LivePicture.station == station, *of_stage, *window)
+        query = select(LivePicture).where(LivePicture.station == station, *played.make_rows(LivePicture), *window)
         shown = session.scalars(query.order_by(LivePicture.taken_at.desc()).limit(1)).first()
     if shown is None:
         raise not_found("live picture", f"of station {station}")

@@ -57,7 +57,7 @@ def start(
     shown_reason = names.clean(reason, what="A reason", min_length=1, max_length=REASON_LENGTH)
     _lock_competition(session, stage.competition)
     chosen = _chosen(session, stage, submissions)
-    made = Rejudgement(competition=stage.competition, track=stage.track, stage=stage.name, reason=shown_reason)
+    made = Rejudgement(**stage.place, reason=shown_reason)
     session.add(made)
     session.flush()
     for submission in chosen:
@@ -186,10 +186,8 @@ def apply(
     append(  # last of all, with the receipts: an entry of the log locks out all others
         session,
         lambda at: RejudgementApplied(
+            **stage.place,
             issued_at=at,
-            competition=stage.competition,
-            track=stage.track,
-            stage=stage.name,
             rejudgement=rejudgement.id,
             replaced=len(completed),
             withdrawn=len(replacing) - len(completed),

@@ -77,15 +77,7 @@ def _compare(
     differences = []
     for first, second in combinations(played, 2):
         for comparison in compare_tasks(*([played[each][key] for key in common] for each in (first, second))).values():
-            differences.append(
-                TrialDifferenceView(
-                    first=names[first],
-                    second=names[second],
-                    difference=comparison.difference,
-                    interval=comparison.interval,
-                    p_value=comparison.p_value,
-                )
-            )
+            differences.append(TrialDifferenceView.from_row(comparison, first=names[first], second=names[second]))
     return differences
 
 
@@ -139,13 +131,10 @@ def _make_effect(
         effect = fmean(difference for difference, _ in differences)
         half = NORMAL_QUANTILE * sqrt(sum(variance for _, variance in differences)) / len(differences)
         interval = (max(effect - half, -1.0), min(effect + half, 1.0))
-    return StationEffectView(
+    return StationEffectView.from_row(
+        rate,
         station=station.name,
         twin=station.twin,
-        episodes=rate.episodes,
-        starts=rate.starts,
-        successes=rate.successes,
-        success_rate=rate.success_rate,
         success_rate_interval=(rate.interval.low, rate.interval.high),
         effect=effect,
         effect_interval=interval,

@@ -15,7 +15,7 @@ from ..views.evaluations import EvaluationDetailView, EvaluationRowView, ShardVi
 from .copies import count_copied_episodes
 from .history import count_differing_episodes
 from .scores import combined_score
-from .view import EvaluationRows, evaluation_view, summary_view, verdict_view
+from .view import EvaluationRows, evaluation_view, verdict_view
 
 
 def find(session: Session, evaluation_id: UUID) -> Evaluation:
@@ -66,16 +66,13 @@ def show_evaluation(session: Session, settings: Settings, evaluation_id: UUID) -
 
 def _row(evaluation: Evaluation, differing: int, copied: int) -> EvaluationRowView:
     combined = combined_score(evaluation)
-    return EvaluationRowView(
-        **dict(summary_view(evaluation)),
-        submission_id=evaluation.submission_id,
+    return EvaluationRowView.from_row(
+        evaluation,
         team=evaluation.submission.team.name,
         track=evaluation.submission.track,
         success_rate=combined.success_rate if combined else None,
         mean_steps=combined.mean_steps if combined else None,
         verdict=verdict_view(evaluation),
-        platform_class=evaluation.platform_class,
-        started_at=evaluation.started_at,
         differing_episodes=differing,
         copied_episodes=copied,
     )

@@ -167,9 +167,8 @@ def _view(evaluation: Evaluation, workers: Callable[[str], WorkersAlive], rows: 
     verdict, is_hidden = verdict_view(evaluation), evaluation.id in rows.hidden
     if is_hidden:
         progress, verdict = _coarse(progress, shown_scores), _hide_details(verdict)
-    return EvaluationView(
-        **vars(summary_view(evaluation)),
-        started_at=evaluation.started_at,
+    return EvaluationView.from_row(
+        evaluation,
         queue_position=rows.positions.get(evaluation.id),
         sensor_check=rows.checks.get(evaluation.id),
         eta_s=None if is_hidden else _seconds_to_end(evaluation, progress, workers, rows),
@@ -183,12 +182,9 @@ def _view(evaluation: Evaluation, workers: Callable[[str], WorkersAlive], rows: 
         scores=shown_scores,
         practice_scores=practice_score_views(evaluation),
         counted_tasks=list(counted_tasks(evaluation)),
-        evaluator_hash=evaluation.evaluator_hash,
-        platform_class=evaluation.platform_class,
         isolation=rows.isolation[evaluation.id],
         packages=[],
         list_kind=played_list_kind(evaluation),
-        commitment=evaluation.commitment,
         episodes_hidden=is_hidden,
         differing_episodes=None,
     )

@@ -126,7 +126,7 @@ def stages(session: Session, by: Principal, at: datetime | None = None) -> Seque
             track_title=stage.track_rules.title,
             stage=stage.rules,
             qualified=_count_qualified(session, stage) if stage.rules.qualified is not None else None,
-            submissions=_count_submissions(session, stage),
+            submissions=session.scalar(select(func.count()).select_from(Submission).where(stage.submissions)) or 0,
             running=count_running(session, stage),
             over=stage.is_over(now),
         )
@@ -156,10 +156,6 @@ def _words(*, by_machines: bool, differing: bool, copy: bool) -> str:
 
 def _count_qualified(session: Session, stage: Stage) -> int:
     return session.scalar(select(func.count()).select_from(Qualification).where(stage.qualifications)) or 0
-
-
-def _count_submissions(session: Session, stage: Stage) -> int:
-    return session.scalar(select(func.count()).select_from(Submission).where(stage.submissions)) or 0
 
 
 N_ENTRIES = 20

@@ -31,26 +31,7 @@ from vitac.evaluator.tracks.sealed import load_played_track, make_commitment
 from ..transparency.entries import LogEntry
 from ..transparency.merkle import Tree, make_tree
 from ..views.leaderboards import LeaderboardEntryView
-from .completeness import (
-    check_arrivals,
-    check_end,
-    check_entries,
-    check_head,
-    check_held,
-    check_noted,
-    check_opened,
-    check_order,
-    check_repeated_end,
-    check_secret,
-    check_submissions,
-    check_teams,
-    check_winners,
-    check_witnessed,
-    find_signed_sizes,
-    list_late,
-    place,
-    reached,
-)
+from . import completeness
 from .export import ExportDescription, ExportReader
 from .receipt import (
     AnyReceipt,
@@ -150,26 +131,28 @@ def audit(
             result.findings.append(f"Expected the key {public_key}, got {described.public_key}.")
         listed = _read_entries(reader.entries(), result)
         tree, logged = make_tree([entry.leaf_hash for entry in listed]), {entry.number: entry for entry in listed}
-        result.findings += check_head(described, tree)
+        result.findings += completeness.check_head(described, tree)
         for receipt in held:
-            result.findings += check_held(tree, logged, receipt)
+            result.findings += completeness.check_held(tree, logged, receipt)
         for size, root in noted.items():
-            result.findings += check_noted(tree, size, root)
-        result.findings += check_order(listed)
-        result.findings += check_witnessed(described, tree, listed)
-        result.unusual += list_late(listed)
+            result.findings += completeness.check_noted(tree, size, root)
+        result.findings += completeness.check_order(listed)
+        result.findings += completeness.check_witnessed(described, tree, listed)
+        result.unusual += completeness.list_late(listed)
         result.unknowable += _list_unknowable(described, tree, key=public_key, is_noted=bool(held or noted))
         arrivals = {one.submission.submission: one for one in _signed(reader.submissions(), logged, result)}
         receipts = {receipt.result.evaluation: receipt for receipt in _signed(reader.receipts(), logged, result)}
         all_ends = _signed(reader.ends(), logged, result)
         ends = [receipt for receipt in all_ends if receipt.end.competition == described.competition]
         _check_board(described, receipts, result)
-        result.findings += check_opened(described, logged, [*arrivals.values(), *receipts.values(), *all_ends])
-        result.findings += check_secret(described, [receipt.result for receipt in receipts.values()])
-        result.findings += check_end(described, ends)
-        for is_wrong, sentence in check_winners(described, receipts.values()):
+        result.findings += completeness.check_opened(
+            described, logged, [*arrivals.values(), *receipts.values(), *all_ends]
+        )
+        result.findings += completeness.check_secret(described, [receipt.result for receipt in receipts.values()])
+        result.findings += completeness.check_end(described, ends)
+        for is_wrong, sentence in completeness.check_winners(described, receipts.values()):
             (result.findings if is_wrong else result.unchecked).append(sentence)
-        result.unusual += check_repeated_end(ends)
+        result.unusual += completeness.check_repeated_end(ends)
         _check_results(described, arrivals, receipts, result)
         with _find_track(reader, result):
             logs = list(_check_logs(reader, receipts, result))
@@ -180,7 +163,7 @@ def audit(
 def _list_unknowable(described: ExportDescription, tree: Tree, *, key: str | None, is_noted: bool) -> Iterator[str]:
     if key is None:
         yield "Whose key signed this log: compare it with the one that you noted, or give that as --key."
-    if not is_noted and not find_signed_sizes(described, tree, described.witnesses):
+    if not is_noted and not completeness.find_signed_sizes(described, tree, described.witnesses):
         yield (
             "Whether others were shown this log: whoever has the database could have made all of it anew, with other "
             "results and winners, and signed it. A checkpoint that you noted (--noted), a receipt that you stored "
@@ -228,7 +211,7 @@ def _check_board(described: ExportDescription, receipts: Mapping[UUID, Receipt],
     ranked = [entry for entry in board.entries if entry.rank is not None]
     if [entry.rank for entry in ranked] != list(range(1, len(ranked) + 1)):
         result.findings.append("The ranks of the board do not count from 1.")
-    if ranked != sorted(ranked, key=lambda entry: place(board, entry)):
+    if ranked != sorted(ranked, key=lambda entry: completeness.place(board, entry)):
         result.findings.append("The order of the board is not that of its scores.")
 
 
@@ -239,10 +222,13 @@ def _check_results(
     result: Audit,
 ) -> None:
     """Report results without their submission, of other teams, or missing on the board."""
-    result.findings += check_arrivals(described, arrivals)
-    for is_wrong, sentence in check_submissions(arrivals, receipts.values()):
+    result.findings += completeness.check_arrivals(described, arrivals)
+    for is_wrong, sentence in completeness.check_submissions(arrivals, receipts.values()):
         (result.findings if is_wrong else result.unusual).append(sentence)
-    for is_wrong, sentence in (*check_teams(described, receipts), *check_entries(described, receipts)):
+    for is_wrong, sentence in (
+        *completeness.check_teams(described, receipts),
+        *completeness.check_entries(described, receipts),
+    ):
         (result.findings if is_wrong else result.unchecked).append(sentence)
 
 
@@ -272,7 +258,7 @@ def _find_track(reader: ExportReader, result: Audit) -> Iterator[None]:
 def _differences(described: ExportDescription, entry: LeaderboardEntryView, result: Result) -> Iterator[str]:
     board = described.board
     tasks = {task.task: task for task in result.tasks}
-    ranked_by = reached(board.task, result)
+    ranked_by = completeness.reached(board.task, result)
     values = board.ranking.values(ranked_by, result.submitted_at) if ranked_by else {}
     pairs: list[tuple[str, object, object]] = [
         ("competition", described.competition, result.competition),

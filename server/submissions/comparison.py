@@ -90,22 +90,20 @@ def _read_side(session: Session, settings: Settings, by: Principal, submission_i
         entry = _find_entry(session, by, hidden) if hidden else None
         if hidden is None or entry is None:
             raise
-        return ComparedResult(view=_view_of_entry(entry, hidden.track))
+        return ComparedResult(view=ComparedResultView.from_row(entry, track=hidden.track, has_page=False, episodes=0))
     view = listing.get(session, settings, by, submission.id)
     return make_side(view, listing.list_episodes(session, by, newest_evaluation(session, submission)))
 
 
 def make_side(submission: SubmissionView, episodes: Sequence[EpisodeView]) -> ComparedResult:
     """Return a submission that the reader may see."""
-    view = ComparedResultView(
+    view = ComparedResultView.from_row(
+        submission.evaluation,
         submission_id=submission.id,
         submission_name=submission.name,
         team=submission.team.name,
         track=submission.track,
         submitted_at=submission.submitted_at,
-        evaluator_version=submission.evaluation.evaluator_version,
-        played=submission.evaluation.played,
-        scores=submission.evaluation.scores,
         has_page=True,
         episodes=len(episodes),
     )
@@ -128,10 +126,6 @@ def _find_entry(session: Session, by: Principal, submission: Submission) -> Lead
             if own is not None:
                 return own
     return None
-
-
-def _view_of_entry(entry: LeaderboardEntryView, track: str) -> ComparedResultView:
-    return ComparedResultView.from_row(entry, track=track, has_page=False, episodes=0)
 
 
 def make_comparison(sides: Sequence[ComparedResult]) -> ComparisonView:
@@ -240,9 +234,5 @@ def _differing(sides: Sequence[ComparedResult]) -> Iterator[ComparedEpisodeView]
                 task=task,
                 episode=number,
                 shape=shown[0].shape,
-                ends=[_end_view(end) if end is not None else None for end in played],
+                ends=[ComparedEndView.from_row(end) if end is not None else None for end in played],
             )
-
-
-def _end_view(end: EpisodeView) -> ComparedEndView:
-    return ComparedEndView.from_row(end)

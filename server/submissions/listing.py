@@ -116,25 +116,12 @@ def _read_episodes(session: Session, key: EpisodeKey) -> Sequence[EpisodeView]:
             EpisodeResult.success,
             EpisodeResult.env_steps,
             EpisodeResult.forces,
-            _drawn(key.track),
+            _drawn(key.track).label("drawn"),
         )
         .where(*key.conditions())
         .order_by(EpisodeResult.task, EpisodeResult.episode)
     )
-    return tuple(
-        EpisodeView(
-            task=task,
-            episode=episode,
-            shape=shape,
-            initial_offset=initial_offset,
-            outcome=outcome,
-            success=success,
-            env_steps=env_steps,
-            forces=forces,
-            draws=draws or {},
-        )
-        for task, episode, shape, initial_offset, outcome, success, env_steps, forces, draws in rows
-    )
+    return tuple(EpisodeView.from_row(row, draws=row.drawn or {}) for row in rows)
 
 
 def _drawn(track: str) -> ColumnElement[Any]:
