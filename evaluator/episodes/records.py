@@ -27,6 +27,7 @@ from pydantic import (
 from vitac.errors import VitacError
 
 from ..agent.verdicts import VerdictCode
+from ..sentence_enum import SentenceEnum
 from ..strict_model import StrictModel, Word
 
 NOT_HASHED: Final = frozenset({"timings", "output"})
@@ -42,34 +43,17 @@ class RecordsDisagree(VitacError):
     """The records given are not those of one evaluation: an episode occurs twice, or is of another task."""
 
 
-class EpisodeOutcome(StrEnum):
+class EpisodeOutcome(SentenceEnum):
     """How an episode ended."""
 
-    SUCCESS = "success"
-    FORCE = "force"
-    TACTILE = "tactile"
-    ERROR = "error"
-    STEPS = "steps"
-    NOT_CONVERGED = "not_converged"
-    POLICY_FAILED = "policy_failed"
-    ACTIONS_ENDED = "actions_ended"
-
-    @property
-    def sentence(self) -> str:
-        """What the word means, for whoever reads it on a page or in a terminal."""
-        return _SENTENCES[self]
-
-
-_SENTENCES = {
-    EpisodeOutcome.SUCCESS: "The task was solved.",
-    EpisodeOutcome.FORCE: "The force on the held part was above the task's limit.",
-    EpisodeOutcome.TACTILE: "The gel surface of a sensor moved too far.",
-    EpisodeOutcome.ERROR: "The gripper or the part left its range.",
-    EpisodeOutcome.STEPS: "All env steps were used up.",
-    EpisodeOutcome.NOT_CONVERGED: "The physics found no solution for an IPC step, even in smaller pieces.",
-    EpisodeOutcome.POLICY_FAILED: "The policy crashed, broke a limit or answered wrongly.",
-    EpisodeOutcome.ACTIONS_ENDED: "The recorded actions of a 2025 text log ended before the episode did.",
-}
+    SUCCESS = "success", "The task was solved."
+    FORCE = "force", "The force on the held part was above the task's limit."
+    TACTILE = "tactile", "The gel surface of a sensor moved too far."
+    ERROR = "error", "The gripper or the part left its range."
+    STEPS = "steps", "All env steps were used up."
+    NOT_CONVERGED = "not_converged", "The physics found no solution for an IPC step, even in smaller pieces."
+    POLICY_FAILED = "policy_failed", "The policy crashed, broke a limit or answered wrongly."
+    ACTIONS_ENDED = "actions_ended", "The recorded actions of a 2025 text log ended before the episode did."
 
 
 def counted_env_steps(number: int) -> str:

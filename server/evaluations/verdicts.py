@@ -1,48 +1,40 @@
 """Why an evaluation has no score: the policy's own verdicts and those of the service, each with its sentence."""
 
-from enum import StrEnum
-
 from vitac.evaluator.agent.verdicts import VerdictCode
+from vitac.evaluator.sentence_enum import SentenceEnum
 
 
-class ServiceVerdict(StrEnum):
+class ServiceVerdict(SentenceEnum):
     """Ends of an evaluation by the machines, and by what is found against a log or a sensor."""
 
-    MACHINE_FAILED = "machine_failed"
-    SENSOR_REJECTED = "sensor_rejected"
-    SENSOR_TOO_SLOW = "sensor_too_slow"
-    DIVERGED = "diverged"
-    OTHER_PICTURE = "other_picture"
-    IMPOSSIBLE = "impossible"
-
-    @property
-    def sentence(self) -> str:
-        """What happened and what to do about it."""
-        return _SENTENCES[self]
-
-
-_SENTENCES = {
-    ServiceVerdict.MACHINE_FAILED: (
+    MACHINE_FAILED = (
+        "machine_failed",
         "The machines that ran this evaluation failed several times; it is not the policy's fault. "
-        "Submit it again; if it fails again or is refused, ask the organizers."
-    ),
-    ServiceVerdict.SENSOR_REJECTED: (
-        "The sensor breaks a rule. `vitac sensor check` finds the same on your machine; correct it and submit it again."
-    ),
-    ServiceVerdict.SENSOR_TOO_SLOW: (
-        "Checking and meshing the sensor took longer than a check may; simplify its gel and submit it again."
-    ),
-    ServiceVerdict.DIVERGED: (
-        "The log's actions lead to other states than it says; it is not ranked. `vitac log verify` shows it locally."
-    ),
-    ServiceVerdict.OTHER_PICTURE: (
+        "Submit it again; if it fails again or is refused, ask the organizers.",
+    )
+    SENSOR_REJECTED = (
+        "sensor_rejected",
+        "The sensor breaks a rule. `vitac sensor check` finds the same on your machine; "
+        "correct it and submit it again.",
+    )
+    SENSOR_TOO_SLOW = (
+        "sensor_too_slow",
+        "Checking and meshing the sensor took longer than a check may; simplify its gel and submit it again.",
+    )
+    DIVERGED = (
+        "diverged",
+        "The log's actions lead to other states than it says; it is not ranked. `vitac log verify` shows it locally.",
+    )
+    OTHER_PICTURE = (
+        "other_picture",
         "The log's states are right, but a camera picture that it names is not the one seen there; it is not ranked. "
-        "Evaluate again with an unchanged version of vitac and upload the new log."
-    ),
-    ServiceVerdict.IMPOSSIBLE: (
-        "No evaluation by this evaluator can have made the log; evaluate again with its version and upload the new log."
-    ),
-}
+        "Evaluate again with an unchanged version of vitac and upload the new log.",
+    )
+    IMPOSSIBLE = (
+        "impossible",
+        "No evaluation by this evaluator can have made the log; "
+        "evaluate again with its version and upload the new log.",
+    )
 
 
 SENSOR_VERDICTS = frozenset({ServiceVerdict.SENSOR_REJECTED, ServiceVerdict.SENSOR_TOO_SLOW})
