@@ -85,7 +85,7 @@ def _print_json(needed: "list[Requirement]", outcomes: "list[Outcome]", *, safe:
     print_json(
         {
             "safe": safe,
-            "machine": [asdict(requirement) for requirement in needed],
+            "machine": [asdict(requirement) | {"is_met": requirement.is_met} for requirement in needed],
             "probes": [asdict(outcome) for outcome in outcomes],
         }
     )

@@ -4,7 +4,7 @@ import atexit
 import gc
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from importlib import import_module
 from io import TextIOWrapper
 from typing import Annotated
@@ -13,17 +13,18 @@ import typer
 from vitac.errors import VitacError
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Noun:
     """One entry of `vitac --help`.
 
-    `vitac.cli.<module>` has a function `command` (no verbs) or a `typer.Typer` named `<app>` (several verbs).
-    `extra` is that of the package's extras which it needs, if any.
+    `vitac.cli.<module>` has a function `command` (no verbs) or a `typer.Typer` named `<app>` (several verbs); a module
+    has the noun's name where no other is said. `extra` is that of the package's extras which it needs, if any.
     """
 
     name: str
-    module: str
     summary: str
+    module: str = ""
+    _: KW_ONLY
     extra: str | None = None
     app: str = "app"
 
@@ -31,84 +32,45 @@ class Noun:
 _SERVER = "server"
 
 NOUNS = (
-    Noun(
-        name="demo",
-        module="demo.command",
-        summary="Run a service and evaluate the example submission on it.",
-        extra=_SERVER,
-    ),
-    Noun(name="check", module="check", summary="Check a submission before its upload."),
-    Noun(name="evaluate", module="evaluate", summary="Evaluate a submission here, as the service does."),
-    Noun(name="resimulate", module="resimulate", summary="Run recorded actions through the physics."),
-    Noun(name="log", module="log", summary="Show, verify, compare, match and import evaluation logs."),
-    Noun(name="seeds", module="seeds", summary="Make and verify the secrets of sealed episode lists."),
-    Noun(name="show", module="show.command", summary="Draw an episode."),
-    Noun(name="play", module="play.command", summary="Play a task by hand, and store it as demonstrations."),
-    Noun(name="sensor", module="sensor", summary="Check, mesh and draw a sensor of your own."),
-    Noun(
-        name="station",
-        module="station",
-        summary="Check a laboratory's devices, or run twins of them.",
-        extra="station",
-    ),
-    Noun(name="train", module="train", summary="Train a policy from a recipe, and export it."),
-    Noun(
-        name="data",
-        module="data",
-        summary="Collect demonstrations, and make and check data sets of them.",
-        extra="data",
-    ),
-    Noun(name="register", module="client.account", app="register", summary="Register a team at a service."),
-    Noun(name="login", module="client.account", app="login", summary="Store a team's token for later commands."),
-    Noun(name="logout", module="client.account", app="logout", summary="Delete the stored token."),
-    Noun(name="whoami", module="client.account", app="whoami", summary="Show team, token and quotas."),
-    Noun(name="team", module="client.team", summary="Show the team; invite, join, remove members."),
-    Noun(name="question", module="client.team", app="question", summary="Ask the organizers, and read their answers."),
-    Noun(name="appeal", module="client.team", app="appeal", summary="Appeal against an evaluation of your team."),
-    Noun(name="submit", module="client.submit", summary="Upload a submission to a service."),
-    Noun(name="remote", module="client.remote", summary="Play at a service with a policy server of your own."),
-    Noun(name="status", module="client.status", summary="Show your submissions on a service."),
-    Noun(name="publish", module="client.publish", app="publish", summary="Make a submission's result public."),
-    Noun(name="choose", module="client.publish", app="choose", summary="Choose what plays the final list of a stage."),
-    Noun(
-        name="describe",
-        module="client.publish",
-        app="describe",
-        summary="Say what a public result is; link code and paper.",
-    ),
-    Noun(
-        name="withdraw",
-        module="client.publish",
-        app="withdraw",
-        summary="Take a submission off all boards, or delete it.",
-    ),
-    Noun(name="leaderboard", module="client.leaderboard", summary="Print a leaderboard, also as CSV or for LaTeX."),
-    Noun(name="compare", module="compare", summary="Compare two submissions episode by episode."),
-    Noun(name="gap", module="gap", summary="Measure how far simulation is from a station."),
-    Noun(name="receipt", module="receipt.app", summary="Verify receipts; audit the public log and boards."),
-    Noun(
-        name="witness", module="witness", summary="Sign the log of a service, unless it was rewritten.", extra=_SERVER
-    ),
-    Noun(name="serve", module="service.serve", summary="Run the service: database, API and pages.", extra=_SERVER),
-    Noun(name="worker", module="service.worker", summary="Run a worker that evaluates submissions.", extra="worker"),
-    Noun(
-        name="gate",
-        module="service.gate",
-        summary="Let policy servers dial in that the service cannot dial.",
-        extra=_SERVER,
-    ),
-    Noun(
-        name="scale",
-        module="service.scale",
-        summary="Start workers on a cluster when there is work.",
-        extra=_SERVER,
-    ),
-    Noun(
-        name="admin", module="admin.app", summary="Manage teams, submissions, evaluations and workers.", extra=_SERVER
-    ),
-    Noun(name="compile", module="compile", summary="Compile the physics, for images and read-only installations."),
-    Noun(name="sandbox", module="sandbox", summary="Print what a policy runs with: packages, BLAS, threads, CPU."),
-    Noun(name="doctor", module="doctor", summary="Test the sandbox on this machine."),
+    Noun("demo", "Run a service and evaluate the example submission on it.", "demo.command", extra=_SERVER),
+    Noun("check", "Check a submission before its upload."),
+    Noun("evaluate", "Evaluate a submission here, as the service does."),
+    Noun("resimulate", "Run recorded actions through the physics."),
+    Noun("log", "Show, verify, compare, match and import evaluation logs."),
+    Noun("seeds", "Make and verify the secrets of sealed episode lists."),
+    Noun("show", "Draw an episode.", "show.command"),
+    Noun("play", "Play a task by hand, and store it as demonstrations.", "play.command"),
+    Noun("sensor", "Check, mesh and draw a sensor of your own."),
+    Noun("station", "Check a laboratory's devices, or run twins of them.", extra="station"),
+    Noun("train", "Train a policy from a recipe, and export it."),
+    Noun("data", "Collect demonstrations, and make and check data sets of them.", extra="data"),
+    Noun("register", "Register a team at a service.", "client.account", app="register"),
+    Noun("login", "Store a team's token for later commands.", "client.account", app="login"),
+    Noun("logout", "Delete the stored token.", "client.account", app="logout"),
+    Noun("whoami", "Show team, token and quotas.", "client.account", app="whoami"),
+    Noun("team", "Show the team; invite, join, remove members.", "client.team"),
+    Noun("question", "Ask the organizers, and read their answers.", "client.team", app="question"),
+    Noun("appeal", "Appeal against an evaluation of your team.", "client.team", app="appeal"),
+    Noun("submit", "Upload a submission to a service.", "client.submit"),
+    Noun("remote", "Play at a service with a policy server of your own.", "client.remote"),
+    Noun("status", "Show your submissions on a service.", "client.status"),
+    Noun("publish", "Make a submission's result public.", "client.publish", app="publish"),
+    Noun("choose", "Choose what plays the final list of a stage.", "client.publish", app="choose"),
+    Noun("describe", "Say what a public result is; link code and paper.", "client.publish", app="describe"),
+    Noun("withdraw", "Take a submission off all boards, or delete it.", "client.publish", app="withdraw"),
+    Noun("leaderboard", "Print a leaderboard, also as CSV or for LaTeX.", "client.leaderboard"),
+    Noun("compare", "Compare two submissions episode by episode."),
+    Noun("gap", "Measure how far simulation is from a station."),
+    Noun("receipt", "Verify receipts; audit the public log and boards.", "receipt.app"),
+    Noun("witness", "Sign the log of a service, unless it was rewritten.", extra=_SERVER),
+    Noun("serve", "Run the service: database, API and pages.", "service.serve", extra=_SERVER),
+    Noun("worker", "Run a worker that evaluates submissions.", "service.worker", extra="worker"),
+    Noun("gate", "Let policy servers dial in that the service cannot dial.", "service.gate", extra=_SERVER),
+    Noun("scale", "Start workers on a cluster when there is work.", "service.scale", extra=_SERVER),
+    Noun("admin", "Manage teams, submissions, evaluations and workers.", "admin.app", extra=_SERVER),
+    Noun("compile", "Compile the physics, for images and read-only installations."),
+    Noun("sandbox", "Print what a policy runs with: packages, BLAS, threads, CPU."),
+    Noun("doctor", "Test the sandbox on this machine."),
 )
 
 
@@ -153,7 +115,7 @@ def build_app(arguments: Sequence[str]) -> typer.Typer:
         if noun.name != requested:
             app.command(noun.name, help=noun.summary)(_listed_only)
             continue
-        module = import_module(f"vitac.cli.{noun.module}")
+        module = import_module(f"vitac.cli.{noun.module or noun.name}")
         entry = getattr(module, noun.app, None) or module.command
         if isinstance(entry, typer.Typer):
             app.add_typer(entry, name=noun.name, help=noun.summary)

@@ -164,13 +164,5 @@ def _run(evaluation: LocalEvaluation) -> RunReport:
     score, result_hash = evaluation.score, evaluation.result_hash
     assert score is not None  # noqa: S101 - the estimator never fails
     assert result_hash is not None  # noqa: S101
-    return RunReport(
-        task=evaluation.manifest.task,
-        episodes=score.episodes,
-        starts=score.starts,
-        successes=score.successes,
-        success_rate=score.success_rate,
-        interval=score.interval,
-        mean_steps=score.mean_steps,
-        result_hash=result_hash,
-    )
+    reached = {name: value for name, value in score if name in RunReport.model_fields}
+    return RunReport(task=evaluation.manifest.task, result_hash=result_hash, **reached)

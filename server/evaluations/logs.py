@@ -49,13 +49,9 @@ class LogClaim(StrictModel):
     @classmethod
     def from_log(cls, header: LogHeader, records: Collection[EpisodeRecord]) -> Self:
         """Return what one of our logs claims."""
-        claimed = score(records)
         return cls(
             team=header.team,
-            episodes=claimed.episodes,
-            successes=claimed.successes,
-            success_rate=claimed.success_rate,
-            mean_steps=claimed.mean_steps,
+            **score(records).model_dump(include={"episodes", "successes", "success_rate", "mean_steps"}),
             submission_digest=header.submission_digest,
             manifest=header.manifest,
             result_hash=result_hash(header.manifest, records),

@@ -239,35 +239,26 @@ class ServedKind:
 CONNECTION_TEST_S = 10.0
 """Time that a policy server has to greet, and again for its first answer, before anything is queued."""
 
+_MODEL: Final = ServedKind(
+    max_bytes=lambda settings: settings.limits.archive_packed_bytes,
+    check=check_model,
+    names_track=(ProblemCode.MANIFEST_REJECTED, "submission.yaml says track"),
+)
+_LOG: Final = ServedKind(
+    max_bytes=lambda settings: settings.log_bytes,
+    check=check_log,
+    names_track=(ProblemCode.LOG_REJECTED, "the log is of"),
+    log_view=log_view,
+)
 SERVED_KINDS: Mapping[SubmissionKind, ServedKind] = MappingProxyType(
     {
-        SubmissionKind.MODEL: ServedKind(
-            max_bytes=lambda settings: settings.limits.archive_packed_bytes,
-            check=check_model,
-            names_track=(ProblemCode.MANIFEST_REJECTED, "submission.yaml says track"),
+        SubmissionKind.MODEL: _MODEL,
+        SubmissionKind.IMAGE: replace(
+            _MODEL, max_bytes=lambda settings: largest_image_bytes(settings.limits), check=check_image
         ),
-        SubmissionKind.IMAGE: ServedKind(
-            max_bytes=lambda settings: largest_image_bytes(settings.limits),
-            check=check_image,
-            names_track=(ProblemCode.MANIFEST_REJECTED, "submission.yaml says track"),
-        ),
-        SubmissionKind.REMOTE: ServedKind(
-            max_bytes=lambda settings: settings.limits.archive_packed_bytes,
-            check=check_model,
-            names_track=(ProblemCode.MANIFEST_REJECTED, "submission.yaml says track"),
-        ),
-        SubmissionKind.LOG: ServedKind(
-            max_bytes=lambda settings: settings.log_bytes,
-            check=check_log,
-            names_track=(ProblemCode.LOG_REJECTED, "the log is of"),
-            log_view=log_view,
-        ),
-        SubmissionKind.TEXT_LOG: ServedKind(
-            max_bytes=lambda settings: settings.log_bytes,
-            check=check_text_log,
-            names_track=(ProblemCode.LOG_REJECTED, "the log is of"),
-            log_view=log_view,
-        ),
+        SubmissionKind.REMOTE: _MODEL,
+        SubmissionKind.LOG: _LOG,
+        SubmissionKind.TEXT_LOG: replace(_LOG, check=check_text_log),
     }
 )
 

@@ -29,12 +29,16 @@ class Requirement:
     """One thing that was looked for on this machine."""
 
     name: str
-    is_met: bool
-    is_needed: bool
-    """False where something else stands in for it, or may do so."""
     found: str
     remedy: str
     """What to do; empty where it is met."""
+    is_needed: bool = True
+    """False where something else stands in for it, or may do so."""
+
+    @property
+    def is_met(self) -> bool:
+        """Whether there is nothing to do."""
+        return not self.remedy
 
 
 def requirements() -> list[Requirement]:
@@ -77,11 +81,7 @@ def _namespaces() -> Requirement:
             "apparmor=unconfined --security-opt systempaths=unconfined`"
         )
     return Requirement(
-        name="namespaces made for a sandbox",
-        is_met=not reason,
-        is_needed=True,
-        found=reason.rstrip(".") or "all",
-        remedy=remedy if reason else "",
+        name="namespaces made for a sandbox", found=reason.rstrip(".") or "all", remedy=remedy if reason else ""
     )
 
 
@@ -91,8 +91,6 @@ def limits_of_namespaces(kinds: Sequence[str], sysctl: Path = _SYSCTL) -> Requir
     none_of = [f"user.{limit.name}" for limit in limits if limit.exists() and limit.read_text().strip() == "0"]
     return Requirement(
         name="namespaces are not limited to none",
-        is_met=not none_of,
-        is_needed=True,
         found=", ".join(f"{name}: 0" for name in none_of) or "none is 0",
         remedy=f"`sudo sysctl {' '.join(f'{name}=15000' for name in none_of)}`" if none_of else "",
     )
@@ -102,16 +100,8 @@ def subsystem_for_windows(release: str) -> list[Requirement]:
     """Recognise the Windows Subsystem for Linux by its kernel's release; its first version has no Linux kernel."""
     if "microsoft" not in release.lower():
         return []
-    is_second = "WSL2" in release
-    return [
-        Requirement(
-            name="Windows Subsystem for Linux 2",
-            is_met=is_second,
-            is_needed=True,
-            found=release,
-            remedy="" if is_second else "WSL 1 has no namespaces: `wsl --set-version DISTRIBUTION 2` in Windows",
-        )
-    ]
+    remedy = "" if "WSL2" in release else "WSL 1 has no namespaces: `wsl --set-version DISTRIBUTION 2` in Windows"
+    return [Requirement(name="Windows Subsystem for Linux 2", found=release, remedy=remedy)]
 
 
 def user_namespaces(sysctl: Path = _SYSCTL) -> list[Requirement]:
@@ -136,10 +126,8 @@ def user_namespaces(sysctl: Path = _SYSCTL) -> list[Requirement]:
 
 def _setting(file: Path, *, bad: str, name: str, remedy: str, is_needed: bool = True) -> Requirement:
     value = file.read_text().strip() if file.exists() else "not there"
-    is_met = value != bad
-    return Requirement(
-        name=name, is_met=is_met, is_needed=is_needed, found=f"{file.name}: {value}", remedy="" if is_met else remedy
-    )
+    missing = remedy if value == bad else ""
+    return Requirement(name=name, found=f"{file.name}: {value}", remedy=missing, is_needed=is_needed)
 
 
 def _bubblewrap() -> Requirement:
@@ -149,16 +137,14 @@ def _bubblewrap() -> Requirement:
             [str(program), "--version"], capture_output=True, text=True, check=True, timeout=_DEADLINE_S
         ).stdout.strip()
     except (SandboxFailed, OSError, subprocess.SubprocessError) as error:
-        return Requirement(name="bubblewrap", is_met=False, is_needed=True, found="none", remedy=str(error))
-    return Requirement(name="bubblewrap", is_met=True, is_needed=True, found=f"{version}, {program}", remedy="")
+        return Requirement(name="bubblewrap", found="none", remedy=str(error))
+    return Requirement(name="bubblewrap", found=f"{version}, {program}", remedy="")
 
 
 def _seccomp() -> Requirement:
     library = ctypes.util.find_library("seccomp")
     return Requirement(
         name="libseccomp",
-        is_met=library is not None,
-        is_needed=True,
         found=library or "none",
         remedy="" if library else "install libseccomp (Debian, Ubuntu: `apt-get install libseccomp2`)",
     )
@@ -177,7 +163,6 @@ def _program(name: str, path: Path | None, *, is_needed: bool) -> Requirement:
     is_met = path is not None and os.access(path, os.X_OK)
     return Requirement(
         name=name,
-        is_met=is_met,
         is_needed=is_needed,
         found=str(path) if is_met else "none",
         remedy="" if is_met else "install util-linux",
@@ -189,11 +174,9 @@ def _memory() -> Requirement:
         folder = memory_folder()
     except SandboxFailed as error:
         remedy = f"{str(error).removesuffix('.')}, or set {FILES_VARIABLE}=disk where no list is sealed"
-        return Requirement(name="memory for files", is_met=False, is_needed=True, found="none", remedy=remedy)
+        return Requirement(name="memory for files", found="none", remedy=remedy)
     free_mib = shutil.disk_usage(folder).free >> 20
-    return Requirement(
-        name="memory for files", is_met=True, is_needed=True, found=f"{folder}, {free_mib} MiB free", remedy=""
-    )
+    return Requirement(name="memory for files", found=f"{folder}, {free_mib} MiB free", remedy="")
 
 
 def _control_group() -> Requirement:
@@ -203,13 +186,9 @@ def _control_group() -> Requirement:
     group = cgroup.create(Limits())
     if group is not None:
         group.remove()
-        return Requirement(name="control group", is_met=True, is_needed=False, found=str(group.isolation), remedy="")
+        return Requirement(name="control group", is_needed=False, found=str(group.isolation), remedy="")
     return Requirement(
-        name="control group",
-        is_met=False,
-        is_needed=False,
-        found="none; a watchdog looks at memory instead",
-        remedy=remedy,
+        name="control group", is_needed=False, found="none; a watchdog looks at memory instead", remedy=remedy
     )
 
 
@@ -218,14 +197,13 @@ def _gvisor() -> Requirement:
         program, remedy = str(gvisor.find_program()), ""
     except SandboxFailed as error:
         program, remedy = "none; only stages that ask for isolation vm need it", str(error)
-    return Requirement(name="gVisor", is_met=not remedy, is_needed=False, found=program, remedy=remedy)
+    return Requirement(name="gVisor", is_needed=False, found=program, remedy=remedy)
 
 
 def _frozen_copies() -> Requirement:
     reason = tracing.explain_unsupported()
     return Requirement(
         name="frozen copies for episodes",
-        is_met=not reason,
         is_needed=False,
         found=f"{reason}: the policy is loaded again for every episode" if reason else "Linux on x86-64",
         remedy=""

@@ -23,7 +23,7 @@ LEVEL = Isolation(
 
 def requirement(*, is_met: bool, is_needed: bool = True) -> Requirement:
     remedy = "" if is_met else "install it."
-    return Requirement(name="bubblewrap", is_met=is_met, is_needed=is_needed, found="some", remedy=remedy)
+    return Requirement(name="bubblewrap", found="some", remedy=remedy, is_needed=is_needed)
 
 
 def doctor(monkeypatch: pytest.MonkeyPatch, found: Requirement, states: list[ProbeState], *options: str) -> int:
