@@ -197,7 +197,6 @@ def rehearse(
     track: Track,
     *,
     episodes: Sequence[int] | None = None,
-    limits: Limits | None = None,
     on_trial: Callable[[TrialRecord], None] = lambda _: None,
 ) -> list[TrialRecord]:
     """Play a submission's trials, each in a fresh process of the policy.
@@ -207,7 +206,6 @@ def rehearse(
         submission_dir: folder of the unpacked submission.
         track: its track.
         episodes: numbers from the track's list; by default all whose shape is mounted.
-        limits: of the policy; the default ones if None.
         on_trial: gets each trial as soon as it is over.
 
     Raises:
@@ -225,7 +223,7 @@ def rehearse(
         raise StationRefused(f"Expected episodes with the {shape}, which is mounted, got none. Choose others.")
     reading = make_reading(task, manifest.observation_keys)
     trials = []
-    with load_in_sandbox(submission_dir, limits or Limits(), track.packages) as session:
+    with load_in_sandbox(submission_dir, Limits(), track.packages) as session:
         for episode in chosen:
             attempts = player.play(task, episode, reading, lambda: session)
             trials.append(TrialRecord.from_attempts(episode, attempts))

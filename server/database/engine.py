@@ -54,7 +54,6 @@ class Database:
     Args:
         address: with which the service works.
         owner_address: of the role that owns the tables, to migrate and restore; None: that of the service.
-        pool_size: number of open connections.
         statement_timeout_s: after which the database ends a statement; None: without limit.
     """
 
@@ -63,14 +62,13 @@ class Database:
         address: str,
         *,
         owner_address: str | None = None,
-        pool_size: int = 10,
         statement_timeout_s: float | None = None,
     ) -> None:
         self.address = address
         self.owner_address = owner_address or address
         self.engine: Engine = create_engine(
             sqlalchemy_url(address),
-            pool_size=pool_size,
+            pool_size=10,
             max_overflow=20,
             json_deserializer=msgspec.json.decode,
             connect_args={"connect_timeout": 15, "application_name": "vitac", **ENCODING},

@@ -25,6 +25,9 @@ from ..principals import Principal
 from ..views.evaluations import ArchiveCopyView, NearCopyView
 from .copies import mark_copy
 
+SHOWN = 1000
+"""Findings that organizers see at once."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class _Other:
@@ -81,7 +84,7 @@ def _note_list(
         _note(session, evaluation, task, commitment, list(_find_alike(session, evaluation, task, commitment, trace)))
 
 
-def list_near_copies(session: Session, by: Principal, *, limit: int = 1000) -> list[NearCopyView]:
+def list_near_copies(session: Session, by: Principal) -> list[NearCopyView]:
     """Return what was found, the newest first.
 
     Raises:
@@ -97,7 +100,7 @@ def list_near_copies(session: Session, by: Principal, *, limit: int = 1000) -> l
             joinedload(NearCopy.earlier_submission).joinedload(Submission.team),
         )
         .order_by(NearCopy.found_at.desc(), NearCopy.evaluation_id, NearCopy.task, NearCopy.commitment)
-        .limit(limit)
+        .limit(SHOWN)
     )
     if by.competition is not None:
         query = query.where(Submission.competition == by.competition)
@@ -211,7 +214,7 @@ def note_archive_copies(session: Session, submission: Submission) -> None:
         )
 
 
-def list_archive_copies(session: Session, by: Principal, *, limit: int = 1000) -> list[ArchiveCopyView]:
+def list_archive_copies(session: Session, by: Principal) -> list[ArchiveCopyView]:
     """Return what was found, the newest first.
 
     Raises:
@@ -226,7 +229,7 @@ def list_archive_copies(session: Session, by: Principal, *, limit: int = 1000) -
             joinedload(ArchiveCopy.earlier_submission).joinedload(Submission.team),
         )
         .order_by(ArchiveCopy.found_at.desc(), ArchiveCopy.submission_id, ArchiveCopy.earlier_submission_id)
-        .limit(limit)
+        .limit(SHOWN)
     )
     if by.competition is not None:
         query = query.where(Submission.competition == by.competition)

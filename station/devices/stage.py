@@ -184,10 +184,6 @@ class LinearStage:
             self._line.write(_RESET)
             next(line for line in self._lines(_ANSWER_S) if line.startswith("Grbl"))
 
-    def unlock(self) -> None:
-        """Leave the alarm state without homing."""
-        self._command("$X")
-
     def _await_start(self, patience: float) -> None:
         """Wait until the controller answers.
 

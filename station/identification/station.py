@@ -144,8 +144,8 @@ def _camera_estimates(camera: FittedCamera) -> dict[str, Estimate]:
     return {name: _around(value, camera.deviations[name]) for name, value in camera.values.items()}
 
 
-def _around(value: float, deviation: float, *, is_seen: bool = True) -> Estimate:
-    return Estimate(value, value - _QUANTILE * deviation, value + _QUANTILE * deviation, is_seen)
+def _around(value: float, deviation: float) -> Estimate:
+    return Estimate(value, value - _QUANTILE * deviation, value + _QUANTILE * deviation, True)
 
 
 class _Relaxation(NamedTuple):

@@ -5,7 +5,6 @@ none are given.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from pickle import UnpicklingError
@@ -29,35 +28,26 @@ class NothingAtPrompt(VitacError):
     """A prompt is outside of the picture or where no depth is known; prompt elsewhere on the object."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class SegmentationSettings:
-    """How far an object reaches.
-
-    Attributes:
-        colour: largest distance of a and b from the prompt's, of CIE Lab as OpenCV scales it to 0 to 255.
-        step_m: largest difference of depth between neighbours.
-        reach_m: largest difference of depth from the prompt's.
-    """
-
-    colour: float = 25.0
-    step_m: float = 0.008
-    reach_m: float = 0.1
+_LARGEST_COLOUR: Final = 25.0
+"""Distance of an object's a and b from the prompt's, of CIE Lab as OpenCV scales it to 0 to 255."""
+_LARGEST_STEP_M: Final = 0.008
+"""Difference of depth between neighbours on an object."""
+_REACH_M: Final = 0.1
+"""Largest difference of an object's depth from the prompt's."""
 
 
-def segment(seen: ColourDepth, prompt_px: tuple[int, int], settings: SegmentationSettings | None = None) -> Mask:
+def segment(seen: ColourDepth, prompt_px: tuple[int, int]) -> Mask:
     """Return the pixels of the object at a prompt, shape [height, width].
 
     Args:
         seen: aligned colour and depth.
         prompt_px: u and v of a pixel on the object.
-        settings: how far it reaches.
 
     Raises:
         NothingAtPrompt: naming what is missing there.
     """
     import cv2
 
-    settings = settings or SegmentationSettings()
     nearby = _nearby(seen.depth_m.shape, prompt_px)
     depths_m = seen.depth_m[nearby]
     if not (depths_m > 0).any():
@@ -65,8 +55,8 @@ def segment(seen: ColourDepth, prompt_px: tuple[int, int], settings: Segmentatio
     depth_m = float(np.median(depths_m[depths_m > 0]))
     chroma = cv2.cvtColor(seen.colour, cv2.COLOR_BGR2LAB)[:, :, 1:].astype(np.float32)
     distance = np.linalg.norm(chroma - np.median(chroma[nearby].reshape(-1, 2), axis=0), axis=2)
-    is_like = (distance <= settings.colour) & (np.abs(seen.depth_m - depth_m) <= settings.reach_m)
-    return _connected(is_like & (seen.depth_m > 0), seen.depth_m, prompt_px, settings.step_m)
+    is_like = (distance <= _LARGEST_COLOUR) & (np.abs(seen.depth_m - depth_m) <= _REACH_M)
+    return _connected(is_like & (seen.depth_m > 0), seen.depth_m, prompt_px, _LARGEST_STEP_M)
 
 
 class SamMissing(VitacError):

@@ -96,8 +96,8 @@ class Sandbox:
         submission: folder that the policy is imported from.
         limits: what it may use.
         packages: sets of packages that its track declares.
-        files: where the files lie that it sees; by default what the machine is set to.
-        kind: what stands between it and the machine; under `vm` its files lie in memory, under `none` on the disk.
+        kind: what stands between it and the machine; under `vm` the files that it sees lie in memory, under `none` on
+            the disk, else where the machine is set to.
         image: what is run in place of a policy's class.
     """
 
@@ -107,7 +107,6 @@ class Sandbox:
         *,
         limits: Limits,
         packages: tuple[PackageSet, ...] = (),
-        files: FileIsolation | None = None,
         kind: IsolationKind = IsolationKind.NAMESPACES,
         image: ImageProgram | None = None,
     ) -> None:
@@ -118,7 +117,7 @@ class Sandbox:
         self._packages = packages
         self._kind = kind
         fixed = {IsolationKind.VM: FileIsolation.MEMORY, IsolationKind.NONE: FileIsolation.DISK}
-        self.file_isolation = fixed.get(kind) or files or default_file_isolation()
+        self.file_isolation = fixed.get(kind) or default_file_isolation()
         self.limits = limits
         self._exits = contextlib.ExitStack()
         self._statuses: dict[int, int] = {}

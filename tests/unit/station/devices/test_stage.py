@@ -125,7 +125,7 @@ def test_limit_switch_in_a_motion_is_named_and_the_locked_controller_is_opened_a
     stage.__exit__()
     with LinearStage(line.port) as again:
         assert again.status().state is GrblState.ALARM
-        again.unlock()
+        again.home()
         assert again.status().state is GrblState.IDLE
 
 
