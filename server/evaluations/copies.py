@@ -12,7 +12,7 @@ from functools import cache, partial
 from typing import Any
 from uuid import UUID
 
-from sqlalchemy import ScalarSelect, Select, case, delete, func, or_, over, select, tuple_, update
+from sqlalchemy import ScalarSelect, Select, bindparam, case, delete, func, or_, over, select, tuple_, update
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import InstrumentedAttribute, Session, aliased
 from vitac.evaluator.episodes.records import ActionSequence
@@ -212,14 +212,27 @@ def count_copied_episodes() -> ScalarSelect[int]:
 def _twins(session: Session, evaluation: Evaluation) -> list[_Twin]:
     """Return the submissions of other teams that share states; of equal ones the earliest first."""
     submission = evaluation.submission
-    states = _first_with_states(evaluation).cte("found")
+    ours = {"own_team": submission.team_id, "own_moment": submission.submitted_at, "own_id": submission.id}
+    rows = session.execute(_select_twins(), EpisodeKey.from_evaluation(evaluation, submission).given() | ours)
+    return [
+        _Twin(submission_id=submission_id, kind=kind, submitted_at=submitted_at, whole=whole, begun=begun)
+        for submission_id, kind, submitted_at, whole, begun in rows
+    ]
+
+
+@cache
+def _select_twins() -> Select[Any]:
+    """Return the query of `_twins`, put together once: that takes as long as running it."""
+    states = _select_first_with_states().cte("found")
     own = (
         select(states.c.episode, states.c.first_at, states.c.first_id)
-        .where(states.c.team_id == submission.team_id)
+        .where(states.c.team_id == bindparam("own_team"))
         .distinct()
         .subquery()
     )
-    rows = session.execute(
+    own_moment = bindparam("own_moment", type_=states.c.first_at.type)
+    own_id = bindparam("own_id", type_=states.c.first_id.type)
+    return (
         select(
             states.c.submission_id,
             states.c.kind,
@@ -229,23 +242,19 @@ def _twins(session: Session, evaluation: Evaluation) -> list[_Twin]:
         )
         .join(own, own.c.episode == states.c.episode)
         .where(
-            states.c.team_id != submission.team_id,
+            states.c.team_id != bindparam("own_team"),
             or_(
                 tuple_(states.c.submitted_at, states.c.submission_id) < tuple_(own.c.first_at, own.c.first_id),
-                tuple_(states.c.first_at, states.c.first_id) > tuple_(submission.submitted_at, submission.id),
+                tuple_(states.c.first_at, states.c.first_id) > tuple_(own_moment, own_id),
             ),
         )
         .group_by(states.c.submission_id, states.c.kind, states.c.submitted_at)
         .order_by(states.c.submitted_at, states.c.submission_id)
     )
-    return [
-        _Twin(submission_id=submission_id, kind=kind, submitted_at=submitted_at, whole=whole, begun=begun)
-        for submission_id, kind, submitted_at, whole, begun in rows
-    ]
 
 
-def _first_with_states(evaluation: Evaluation) -> Select[Any]:
-    """Return our episodes with each submission that has their state half-way, and the first of its team that has it."""
+def _select_first_with_states() -> Select[Any]:
+    """Return the episodes of a key with each submission that has their state half-way, and its team's first of them."""
     ours, theirs = aliased(EpisodeResult), aliased(EpisodeResult)
     sharing = (
         select(
@@ -261,7 +270,7 @@ def _first_with_states(evaluation: Evaluation) -> Select[Any]:
         .join(theirs, theirs.half_way_state == ours.half_way_state)
         .join(Submission, Submission.digest == theirs.submission_digest)
         # Without an env step there are only the states of the reset, which are everybody's.
-        .where(*EpisodeKey.from_evaluation(evaluation, evaluation.submission).conditions(ours), ours.env_steps > 0)
+        .where(*EpisodeKey.conditions_given(ours), ours.env_steps > 0)
         .group_by(ours.id, Submission.id)
         .subquery()
     )

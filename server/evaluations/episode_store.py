@@ -83,9 +83,9 @@ class EpisodeKey:
         return asdict(self)
 
     @classmethod
-    def conditions_given(cls) -> tuple[Any, ...]:
+    def conditions_given(cls, result: type[EpisodeResult] = EpisodeResult) -> tuple[Any, ...]:
         """Return the conditions of some key, for a statement that is put together once."""
-        return tuple(getattr(EpisodeResult, part.name) == bindparam(part.name) for part in fields(cls))
+        return tuple(getattr(result, part.name) == bindparam(part.name) for part in fields(cls))
 
 
 def played_keys(evaluation: Evaluation, submission: Submission) -> tuple[EpisodeKey, ...]:
