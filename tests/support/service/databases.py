@@ -187,11 +187,12 @@ TABLES = """
     WHERE relkind = 'r' AND relnamespace = 'public'::regnamespace ORDER BY relname
 """
 SEQUENCES = "SELECT format('%I', sequencename), last_value FROM pg_sequences ORDER BY 1"
-CATALOG = """
+CATALOG_AND_SIZE = """
     SELECT (SELECT count(*) FROM pg_attribute) || ' ' || (SELECT count(*) FROM pg_constraint) || ' '
-        || (SELECT count(*) FROM pg_trigger WHERE tgenabled = 'O') || ' ' || (SELECT count(*) FROM pg_proc)
+        || (SELECT count(*) FROM pg_trigger WHERE tgenabled = 'O') || ' ' || (SELECT count(*) FROM pg_proc),
+        pg_database_size(current_database())
 """
-"""What changes with the schema."""
+"""What changes with the schema, and the bytes of everything."""
 CLIENTS = """
     SELECT count(*) FROM pg_stat_activity WHERE datname = current_database() AND backend_type = 'client backend'
 """
@@ -225,10 +226,13 @@ class _KeptDatabase:
                 return False
             connection.execute(text("SET LOCAL session_replication_role = replica"))  # no triggers, no foreign keys
             for table, has_rows in connection.execute(self._filled):
+                rows = self._rows[table]
+                if rows and _copy_out(connection, table) == rows:
+                    continue
                 if has_rows:
                     connection.execute(text(f"DELETE FROM {table}"))  # noqa: S608 - fixed names
-                if self._rows[table]:
-                    _copy_in(connection, table, self._rows[table])
+                if rows:
+                    _copy_in(connection, table, rows)
             for name, value in self._state[2].items():
                 if sequences[name] != value:
                     connection.execute(text("SELECT setval(:name, :value, :is_called)"), _sequence(name, value))
@@ -241,8 +245,7 @@ class _KeptDatabase:
 
     def _read_state(self, connection: Connection) -> tuple[str, int, dict[str, int | None]]:
         """The schema, the size of the database, and where its sequences are."""
-        catalog = connection.scalars(text(CATALOG)).one()
-        n_bytes = connection.scalars(text("SELECT pg_database_size(current_database())")).one()
+        catalog, n_bytes = connection.execute(text(CATALOG_AND_SIZE)).one()
         return catalog, n_bytes, {name: value for name, value in connection.execute(text(SEQUENCES))}  # noqa: C416 - a row is no pair to mypy
 
 
