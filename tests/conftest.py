@@ -83,9 +83,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     option = config.option
     if option.file_or_dir or option.keyword or option.markexpr:
         return
-    slow = [item for item in items if item.get_closest_marker("slow")]
-    config.hook.pytest_deselected(items=slow)
-    items[:] = [item for item in items if item not in set(slow)]
+    config.hook.pytest_deselected(items=[item for item in items if item.get_closest_marker("slow")])
+    items[:] = [item for item in items if not item.get_closest_marker("slow")]
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -126,7 +125,8 @@ def reference_dir() -> Path:
 
 
 @pytest.fixture(scope="module")
-def _loaded_simulation() -> Iterator["SharedProcesses"]:
+def loaded_simulation() -> Iterator["SharedProcesses"]:
+    """Processes of shards for all tests of a file; `shared_simulation` has evaluations use them."""
     from shared_simulation import loaded_once  # late: few tests need it, and it imports the evaluator
 
     with loaded_once() as processes:
@@ -134,11 +134,11 @@ def _loaded_simulation() -> Iterator["SharedProcesses"]:
 
 
 @pytest.fixture
-def shared_simulation(_loaded_simulation: "SharedProcesses", monkeypatch: pytest.MonkeyPatch) -> None:
+def shared_simulation(loaded_simulation: "SharedProcesses", monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the evaluations of a file's tests share one process that has the simulation loaded."""
     from shared_simulation import evaluate_with
 
-    evaluate_with(_loaded_simulation, monkeypatch)
+    evaluate_with(loaded_simulation, monkeypatch)
 
 
 @pytest.fixture

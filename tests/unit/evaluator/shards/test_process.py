@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from shared_simulation import SharedProcesses
 from vitac.evaluator.episodes.records import EpisodeRecord
 from vitac.evaluator.estimator.regression import Coefficients
 from vitac.evaluator.shards import process as shard_process
@@ -26,13 +27,14 @@ def order(behaviour: str, **changes: object) -> ShardOrder:
 
 
 @pytest.fixture
-def processes() -> Iterator[ShardProcesses]:
-    with ShardProcesses() as processes:
-        yield processes
+def processes(loaded_simulation: SharedProcesses) -> Iterator[ShardProcesses]:
+    """Processes forked by the host of the test before, if that has left it alive: loading one takes most of a test."""
+    with loaded_simulation:
+        yield loaded_simulation
 
 
-def run(behaviour: str, **changes: object) -> tuple[ShardResult, list[EpisodeRecord]]:
-    with ShardProcesses() as processes, processes.running_shard(order(behaviour, **changes)) as process:
+def run(processes: ShardProcesses, behaviour: str, **changes: object) -> tuple[ShardResult, list[EpisodeRecord]]:
+    with processes.running_shard(order(behaviour, **changes)) as process:
         records = list(process.records())
         return process.result, records
 
@@ -48,38 +50,39 @@ def is_alive(pid: int) -> bool:
         return False
 
 
-def test_records_and_result_come_from_the_other_process() -> None:
-    result, records = run("succeed")
+def test_records_and_result_come_from_the_other_process(processes: ShardProcesses) -> None:
+    result, records = run(processes, "succeed")
     assert result.end is ShardEnd.COMPLETE
     assert sorted(record.episode for record in records) == [1, 2, 3]
     assert records[0].infos[-1]["end_reason"] == "success"
     assert "end_reason" in records[0].infos[0]
 
 
-def test_order_is_carried_whole() -> None:
-    result, records = run("succeed", shard=2, episodes=(55, 56, 57, 58), skip=(56,))
+def test_order_is_carried_whole(processes: ShardProcesses) -> None:
+    result, records = run(processes, "succeed", shard=2, episodes=(55, 56, 57, 58), skip=(56,))
     assert (result.index, sorted(record.episode for record in records)) == (2, [55, 57, 58])
 
 
-def test_failing_policy_is_a_result() -> None:
-    result, records = run("cannot_load")
+def test_failing_policy_is_a_result(processes: ShardProcesses) -> None:
+    result, records = run(processes, "cannot_load")
     assert (result.end, len(records)) == (ShardEnd.BROKEN, 1)
 
 
 def test_nothing_printed_can_pass_for_an_answer(capfd: pytest.CaptureFixture[str]) -> None:
-    result, records = run("print_much")
+    with ShardProcesses() as processes:  # whose host writes where this test reads
+        result, records = run(processes, "print_much")
     assert (result.end, len(records)) == (ShardEnd.COMPLETE, 3)
     assert "forged" in capfd.readouterr().err
 
 
-def test_fault_of_the_machine_is_told_by_name() -> None:
+def test_fault_of_the_machine_is_told_by_name(processes: ShardProcesses) -> None:
     with pytest.raises(ShardProcessFailed, match=r"SandboxFailed.*bwrap is missing"):
-        run("break_sandbox")
+        run(processes, "break_sandbox")
 
 
-def test_process_that_ends_early_is_a_fault_of_ours() -> None:
+def test_process_that_ends_early_is_a_fault_of_ours(processes: ShardProcesses) -> None:
     with pytest.raises(ShardProcessFailed, match="exit code 3 and no result"):
-        run("exit_early")
+        run(processes, "exit_early")
 
 
 def test_kill_ends_a_policy_that_hangs(processes: ShardProcesses) -> None:
@@ -223,13 +226,14 @@ def test_process_that_dies_while_it_waits_costs_no_shard(processes: ShardProcess
         assert len(list(process.records())) == 3
 
 
-def test_prepared_process_forks_the_first_shard(processes: ShardProcesses) -> None:
-    processes.prepare()
-    processes.prepare()
-    assert processes._newest is not None
-    with processes.running_shard(order("succeed")) as process:
-        assert parent_of(process.pid) == processes._newest._process.pid
-        assert len(list(process.records())) == 3
+def test_prepared_process_forks_the_first_shard() -> None:
+    with ShardProcesses() as processes:
+        processes.prepare()
+        processes.prepare()
+        assert processes._newest is not None
+        with processes.running_shard(order("succeed")) as process:
+            assert parent_of(process.pid) == processes._newest._process.pid
+            assert len(list(process.records())) == 3
 
 
 def test_shard_after_the_death_of_the_loaded_process_gets_a_new_one(processes: ShardProcesses) -> None:
