@@ -77,8 +77,14 @@ def app_of(noun: str) -> Typer:
 
     A process of `vitac` makes its commands once; making them for each of a test's commands took half of its time.
     """
-    testing._get_command = cache(get_command)  # type: ignore[attr-defined]
+    make_commands_once()
     return build_app([noun])
+
+
+@cache
+def make_commands_once() -> None:
+    """Let typer's runner keep what it has made of a command line."""
+    testing._get_command = cache(get_command)  # type: ignore[attr-defined]
 
 
 @cache

@@ -8,10 +8,9 @@ from typing import Any
 from uuid import UUID
 
 import pytest
-from cli_service import CliService, submission_folder
+from cli_service import CliService, app_of, submission_folder
 from service_factories import TASK, TRACK, complete_scored, make_score
 from typer.testing import CliRunner
-from vitac.cli.main import build_app
 from vitac.server.accounts import tokens
 from vitac.server.database.models import Submission
 from vitac.server.database.states import Role
@@ -31,7 +30,7 @@ class Organizer:
 
     def run(self, *arguments: str) -> str:
         words = ["admin", "--server", self._address, *arguments]
-        done = CliRunner().invoke(build_app(words), words, env=self._environment)
+        done = CliRunner().invoke(app_of("admin"), words, env=self._environment)
         assert done.exit_code == 0, (arguments, done.output, done.exception)
         return done.stderr if arguments[-1] == "--dry-run" else done.stdout
 
