@@ -1,9 +1,10 @@
 """Finds the markers of a gel in a picture and follows them from picture to picture.
 
 Finding and `MarkerTracker` are the challenge's own (numbers: its ROS package): a marker that is lost stays lost until
-the tracker starts again. `AssignedMarkerTracker` assigns all markers at once, so that none is lost for good: centres
-are weighted by darkness; markers and centres are paired so that the sum of squared distances is smallest; a lost marker
-is expected where its neighbours have moved to; and a gel whose markers only tremble is at rest.
+the tracker starts again. `AssignedMarkerTracker` assigns all markers at once, so that none is lost for good: what is
+dark in one light only is no marker; centres are weighted by darkness; markers and centres are paired so that the sum of
+squared distances is smallest; a lost marker is expected where its neighbours have moved to; and a gel whose markers
+only tremble is at rest.
 """
 
 from collections.abc import Callable
@@ -24,6 +25,7 @@ _BORDER: Final = 7
 _MORE_ROWS_AT_THE_TOP: Final = 2
 _WIDE, _NARROW = (15, 15), (9, 9)
 _GAIN: Final = 16.0
+_DARKEST: Final = 3 * 255.0
 _MARKER_SUM: Final = 76.0
 _CLOSING: Final = 4
 _MIN_DISTANCE_PX: Final = 12.0
@@ -47,8 +49,14 @@ def marker_darkness(picture: Picture) -> NDArray[np.float32]:
 
     wide, narrow = cv2.GaussianBlur(picture, _WIDE, 0), cv2.GaussianBlur(picture, _NARROW, 0)
     difference = cv2.convertScaleAbs(cv2.subtract(wide, narrow), alpha=_GAIN)  # both cut off at 0 and 255
-    total = cv2.transform(difference.astype(np.float32), np.ones((1, 3), np.float32))
+    total = _sum_colours(difference)
     return np.asarray(cv2.GaussianBlur(total, _WIDE, 0), dtype=np.float32)  # of the sum: that of each colour, summed
+
+
+def _sum_colours(picture: NDArray[Any]) -> NDArray[np.float32]:
+    import cv2
+
+    return np.asarray(cv2.transform(picture.astype(np.float32), np.ones((1, 3), np.float32)), dtype=np.float32)
 
 
 def find_markers(picture: Picture) -> Positions:
@@ -234,9 +242,22 @@ def _is_beyond_noise(movement: Positions) -> bool:
     return float(np.square(movement).sum()) > len(movement) * _REST_PX**2
 
 
+def _darkness_in_all_lights(picture: Picture) -> NDArray[np.float32]:
+    """Return `marker_darkness` with the colours summed first: what one light leaves dark another one lights.
+
+    So the edges of what is pressed into a gel are no markers, and do not grow together with those beside them.
+    """
+    import cv2
+
+    total = _sum_colours(picture)
+    difference = cv2.subtract(cv2.GaussianBlur(total, _WIDE, 0), cv2.GaussianBlur(total, _NARROW, 0))
+    darkness = np.clip(_GAIN * difference, 0.0, _DARKEST)
+    return np.asarray(cv2.GaussianBlur(darkness, _WIDE, 0), dtype=np.float32)
+
+
 def find_centres(picture: Picture) -> Positions:
     """Return the centres of all markers, each the mean of its pixels weighted by their darkness, shape [n, 2]."""
-    darkness = marker_darkness(picture)
+    darkness = _darkness_in_all_lights(picture)
     centres = find_blobs(darkness)
     offsets = np.arange(-_WINDOW_PX, _WINDOW_PX + 1)
     for _ in range(2):  # the second window is about the better centre

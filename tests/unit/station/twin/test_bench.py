@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from vitac.envs.geometry.pegs import PLATE_THICKNESS_MM
 from vitac.envs.tactile.gel import arena_gel_mesh
-from vitac.station.perception.markers import cut_picture, find_centres
+from vitac.station.description import StationTask
+from vitac.station.perception.markers import DROPPED_PICTURES, AssignedMarkerTracker, cut_picture, find_centres
 from vitac.station.perception.observation import DAMAGED_PART, find_changed_part, measure_brightness
 from vitac.station.twin.bench import GRIP_FORCE, PEG_AT, Backlash, Bench
 from vitac.station.twin.force_torque import ForceTorqueFault
-from vitac.station.twin.grasp import CUBOID_PEG, HOLE
+from vitac.station.twin.grasp import CUBOID_PEG, HOLE, Mounted
 from vitac.station.twin.gripper import GripperFault, checksum
 from vitac.station.twin.hidden import (
     PUBLIC_SETTINGS,
@@ -66,6 +67,24 @@ def test_gripper_closes_on_the_peg_in_its_garage_and_both_gels_show_it(bench: Be
         assert len(pressed) >= 0.9 * len(still)
         nearest = np.linalg.norm(pressed[:, None] - still[None], axis=2).min(axis=1)
         assert np.median(nearest) > 1.0
+
+
+def test_edges_of_a_tapered_handle_are_not_taken_for_markers() -> None:
+    """The gel moves by 10 pixels. The edges are dark in one light; as markers they stopped the station at 30."""
+    key = Mounted(StationTask.LOCK, "key4")
+    bench, trackers = Bench(hidden=PUBLIC_SETTINGS, mounted=key, period_s=0.1), [AssignedMarkerTracker() for _ in "lr"]
+    x_mm, y_mm, z_mm, rotation_deg = key.garage
+    go(bench, x_mm + 0.5, y_mm, z_mm - 0.5, rotation_deg)
+    for picture in range(DROPPED_PICTURES + 12):
+        if picture == DROPPED_PICTURES + 1:
+            grip(bench, 255)
+        flows = [tracker.see(view.picture()) for tracker, view in zip(trackers, bench.views, strict=True)]
+        bench.advance()
+    assert bench.held is not None
+    for flow in flows:
+        assert flow is not None
+        assert len(flow.current) >= 62
+        assert 8.0 < flow.largest_movement_px() < 11.0
 
 
 def test_gripper_closes_on_nothing_elsewhere(bench: Bench) -> None:
