@@ -56,7 +56,7 @@ class Comparison:
 
     Attributes:
         pairs: by number.
-        unpaired: number of episodes that only one of them has.
+        unpaired: number of episodes that only one of them has, or that both began elsewhere.
     """
 
     pairs: tuple[EpisodePair, ...]
@@ -106,16 +106,19 @@ class Comparison:
 def compare_tasks(first: Iterable[FinishedEpisode], second: Iterable[FinishedEpisode]) -> dict[str, Comparison]:
     """Compare two evaluations in each task on the episodes that both have, in any order.
 
+    At a station a start that is not blocked is replaced: such a trial is paired with one from the same place only.
+
     Raises:
         NothingToCompare: there is none.
     """
     ours, theirs = ({(end.task, end.episode): end for end in ends} for ends in (first, second))
-    common = sorted(ours.keys() & theirs.keys())
+    common = sorted(key for key in ours.keys() & theirs.keys() if find_start(ours[key]) == find_start(theirs[key]))
     if not common:
         raise NothingToCompare(
-            f"Expected two evaluations of one task, got {len(ours)} and {len(theirs)} episodes, none of them in both."
+            f"Expected two evaluations of one task, got {len(ours)} and {len(theirs)} episodes, none of them in both "
+            "from the same start."
         )
-    single = [task for task, _ in ours.keys() ^ theirs.keys()]
+    single = [task for task, _ in (ours.keys() | theirs.keys()) - set(common)]
     return {
         task: Comparison(
             pairs=tuple(EpisodePair(first=ours[key], second=theirs[key]) for key in keys), unpaired=single.count(task)

@@ -49,7 +49,7 @@ def summarize(session: Session, by: Principal, stage: Stage) -> TrialResultsView
         {trial.evaluation.submission for trial in trials}, key=lambda each: (each.submitted_at, each.id)
     )
     played = {each: _read_played(session, each, places) for each in submissions}
-    common = set.intersection(*(set(each) for each in played.values())) if played else set()
+    common = _find_common(played.values())
     if not common:
         return None
     names = ShownNames.read(session, by)
@@ -69,6 +69,12 @@ def _read_played(session: Session, submission: Submission, places: Places) -> Pl
     key = EpisodeKey.from_evaluation(newest_evaluation(session, submission), submission)
     rows = session.scalars(select(EpisodeResult).where(*key.conditions()))
     return {(row.task, row.episode): row for row in rows if (submission.id, row.task, row.episode) in places}
+
+
+def _find_common(played: Iterable[Played]) -> set[tuple[str, int]]:
+    """Return the blocks that all have played from the same start: one station may have replaced it."""
+    starts = [{(key, find_start(row)) for key, row in each.items()} for each in played]
+    return {key for key, _ in set.intersection(*starts)} if starts else set()
 
 
 def _compare(

@@ -46,7 +46,7 @@ class ComparedPairView(View):
     only_first: int
     only_second: int
     neither: int
-    unpaired: int = Field(description="Episodes that only one of them has, which are left out.")
+    unpaired: int = Field(description="Episodes that only one of them has, or that began elsewhere: left out.")
     starts: int = Field(description=STARTS)
     difference: float = Field(description="Success rate of the first minus that of the second.")
     difference_interval: tuple[float, float] = Field(description="95 % interval of that, by start.")

@@ -69,8 +69,8 @@ class StationEffectView(RateView):
 class TrialResultsView(View):
     """What the plan of a stage shows once its trials are over."""
 
-    blocks: int = Field(description="In which every submission has a result.")
-    trials_left_out: int = Field(description="With a result, in blocks where another submission has none.")
+    blocks: int = Field(description="In which every submission has a result from the same start.")
+    trials_left_out: int = Field(description="With a result, in other blocks.")
     differences: list[TrialDifferenceView]
     stations: list[StationEffectView]
 

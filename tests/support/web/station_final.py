@@ -75,7 +75,7 @@ def stage_of(site: SeededSite) -> Iterator[tuple[Session, Stage]]:
         yield session, Competition.read(session).stage(STATION, FIRST)
 
 
-def record_of(outcome: EpisodeOutcome, twin: str | None = None) -> Any:
+def record_of(outcome: EpisodeOutcome, twin: str | None = None, **changes: Any) -> Any:
     def record(episode: int, *, task: str) -> EpisodeRecord:
         video = TrialVideo(code="0123456789ABCDEF", frames=9, link="a" * 64, sha256=DIGEST, n_bytes=len(VIDEO))
         pause = HumanHelp(kind=HelpKind.PAUSE, at_s=-2.0, length_s=31.0, note="<b>cable</b>")
@@ -88,6 +88,7 @@ def record_of(outcome: EpisodeOutcome, twin: str | None = None) -> Any:
             shape="cuboid",
             infos=({**measured, "video": {"frame": 4, "link": "b" * 64}}, {}),
             evidence=TrialEvidence(station="lab", twin=twin, video=video, help=(pause,)),
+            **changes,
         )
 
     return record

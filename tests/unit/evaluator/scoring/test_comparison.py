@@ -1,4 +1,4 @@
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pytest
 from evaluation_records import make_record
@@ -57,7 +57,15 @@ def test_episodes_that_only_one_has_do_not_count() -> None:
     assert counts(comparison) == (1, 1, 0, 0)
 
 
-@pytest.mark.parametrize("second", [[], ends("x", "lock-opening")])
+def test_trials_from_other_starts_are_no_pair() -> None:
+    """A station whose hole is wider has replaced the second start."""
+    replaced = [replace(end, initial_offset=(8.0,)) if end.episode == 2 else end for end in ends("x.x")]
+    comparison = compare_tasks(ends("xxx"), replaced)["peg-insertion"]
+    assert [pair.first.episode for pair in comparison.pairs] == [1, 3]
+    assert (comparison.unpaired, comparison.difference) == (1, 0.0)
+
+
+@pytest.mark.parametrize("second", [[], ends("x", "lock-opening"), [End(episode=1, success=True)]])
 def test_nothing_in_common_is_refused(second: list[End]) -> None:
     with pytest.raises(NothingToCompare, match="2 and"):
         compare_tasks(ends("x."), second)

@@ -135,6 +135,20 @@ def test_results_compare_complete_blocks_and_stations_once_the_trials_are_over(
     assert "2 blocks are complete. 1 trial of other blocks is left out here" in page
 
 
+def test_block_with_a_start_that_one_station_replaced_is_left_out(
+    site: SeededSite, final: dict[str, Principal]
+) -> None:
+    with stage_of(site) as (session, stage):
+        replaced = record_of(EpisodeOutcome.SUCCESS, initial_offset=(9.0, 9.0, 9.0))
+        play_within(session, planned_trials(session, stage)[0].id, replaced)
+    play(site)
+    with stage_of(site) as (session, stage):
+        results = summarize(session, VISITOR, stage)
+    assert results is not None
+    assert (results.blocks, results.trials_left_out) == (STARTS - 1, len(TEAMS))
+    assert sum(each.episodes for each in results.stations) == STARTS * len(TEAMS)
+
+
 def test_everybody_watches_later_by_the_delay_and_reads_no_name(site: SeededSite, final: dict[str, Principal]) -> None:
     with site.database.transaction() as session:
         trial = session.scalars(select(Trial).order_by(Trial.turn)).first()
