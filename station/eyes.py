@@ -31,6 +31,9 @@ _PICTURE_S: Final = 10.0
 _LOOK_S: Final = 0.02
 """Time between two looks whether the stage moves."""
 
+_REST_S: Final = 0.2
+"""Time between two pairs of pictures while nothing is to move."""
+
 Tracker = MarkerTracker | AssignedMarkerTracker
 
 
@@ -93,6 +96,7 @@ class Eyes:
             hears from here that the station is alive.
         make_tracker: one for each sensor.
         stops_on_movement: whether a marker that moves too far stops the station.
+        rests: whether nobody commands a motion; then five pairs of pictures a second do, for guard and console.
         pictures: last ones of both cameras, and their time [ns since 1970]; None before the first.
     """
 
@@ -101,6 +105,7 @@ class Eyes:
     guard: Guard | None = None
     make_tracker: Callable[[], Tracker] = AssignedMarkerTracker
     stops_on_movement: bool = True
+    rests: bool = False
     pictures: tuple[tuple[Picture, Picture], int] | None = None
     _count: int = 0
     _again: frozenset[Finger] = frozenset()
@@ -209,6 +214,8 @@ class Eyes:
                 self.guard.beat()
             if left is not None and right is not None:
                 self._tell(SensorReading(left, right, pictures, time_ns()))
+            if self.rests and self.guard is not None:
+                sleep(min(_REST_S, self.guard.limits.heartbeat_s / 4))
 
     def _tell(self, sight: SensorReading) -> None:
         with self._changed:

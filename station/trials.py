@@ -18,7 +18,7 @@ from vitac.evaluator.episodes.episode import OpenSession, PlayingPolicy
 from vitac.evaluator.episodes.reading import Reading
 from vitac.evaluator.tracks import Episode, Task
 
-from .arm import Offset
+from .arm import Beside, Offset
 from .description import StationDescription, StationTask
 from .devices.stage import DeviceFault, DeviceNotFound
 from .eyes import OpenStation, SensorReading, open_station
@@ -125,6 +125,7 @@ class TrialPlayer:
     _opened: ExitStack = field(default_factory=ExitStack)
     _station: OpenStation | None = None
     _stopped_for: str | None = None
+    _held_beside_mm: Beside = (0.0, 0.0)
 
     def __enter__(self) -> Self:
         return self
@@ -206,13 +207,14 @@ class TrialPlayer:
         code: str | None,
     ) -> Attempt:
         try:
-            station = self._station = self._station or self._opened.enter_context(open_station(self.description))
+            station = self._open()
         except (DeviceFault, DeviceNotFound) as error:
             self._close()
             self._stopped_for = str(error)
             return Attempt(start=episode.offset, outcome=TrialOutcome.DEVICE_FAULT, reason=str(error))
         kind = _TRIALS[StationTask(task.station_of or task.name)]
         recorder = None if code is None else VideoRecorder(station, self.video_file, code, self.share)
+        station.eyes.rests = False
         with recorder or nullcontext():
             attempt = kind(
                 station,
@@ -225,6 +227,7 @@ class TrialPlayer:
                 recorder=recorder,
                 operator=self.operator,
             ).play()
+        station.eyes.rests = True
         attempt.video = recorder.video if recorder else None
         attempt.help = self.operator.end() if attempt.outcome.counts else ()
         if station.guard.reason is not None or attempt.outcome in _OPENED_AGAIN:
@@ -232,7 +235,15 @@ class TrialPlayer:
             self._close()
         return attempt
 
+    def _open(self) -> OpenStation:
+        if self._station is None:
+            self._station = self._opened.enter_context(open_station(self.description))
+            self._station.held_beside_mm = self._held_beside_mm
+        return self._station
+
     def _close(self) -> None:
+        if self._station is not None:
+            self._held_beside_mm = self._station.held_beside_mm
         self._station = None
         self._opened.close()
         self._opened = ExitStack()

@@ -76,6 +76,7 @@ class Guarded:
 
     def __init__(self) -> None:
         self.reasons, self.seen = list[str](), 0
+        self.limits = SimpleNamespace(heartbeat_s=0.4)
         self.stop = lambda reason, *, cause: self.reasons.append(reason) if cause is StopCause.FAULT else None
 
     def beat(self) -> None:
@@ -112,6 +113,19 @@ def test_damaged_gel_stops_the_station_and_names_the_side() -> None:
     assert set(guard.reasons) == {guard.reasons[0]}
     assert guard.reasons[0].startswith("The right gel is damaged or covered: ")
     assert guard.seen > 0
+
+
+def test_eyes_at_rest_take_few_pictures_and_the_guard_sees_all_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    guard, waits, still = Guarded(), list[float](), picture()
+    monkeypatch.setattr("vitac.station.eyes.sleep", waits.append)
+    with eyes(Camera(still), Camera(still), guard) as looking:
+        looking.wait(2)
+        assert not waits
+        looking.rests = True
+        looking.wait(3)
+    assert len(waits) >= 2
+    assert set(waits) == {0.1}, "the heartbeat must be in time"
+    assert guard.seen == 2 * looking.pairs
 
 
 def test_tracker_of_one_side_starts_again() -> None:

@@ -42,6 +42,8 @@ class Laboratory:
 
     def __init__(self, *outcomes: TrialOutcome | None, by_force: bool = False) -> None:
         self.outcomes, self.opened, self.reasons, self.by_force = list(outcomes), 0, list[str](), by_force
+        self.held_beside_mm = list[tuple[float, float]]()
+        self.eyes = SimpleNamespace(rests=False)
 
     @contextmanager
     def open_station(self, _: object) -> Iterator[Any]:
@@ -49,9 +51,12 @@ class Laboratory:
         if self.outcomes[0] is None:
             self.outcomes.pop(0)
             raise DeviceNotFound("No stage.")
-        yield SimpleNamespace(guard=SimpleNamespace(reason=None))
+        yield SimpleNamespace(guard=SimpleNamespace(reason=None), eyes=self.eyes, held_beside_mm=(0.0, 0.0))
 
-    def trial(self, *_: object, **__: object) -> Any:
+    def trial(self, station: Any, **_: object) -> Any:
+        assert not self.eyes.rests
+        self.held_beside_mm.append(station.held_beside_mm)
+        station.held_beside_mm = (1.5, -1.0)
         outcome = self.outcomes.pop(0)
         assert outcome is not None
         attempt = Attempt(start=EPISODE.offset, outcome=outcome, reason=str(outcome), stopped_by_force=self.by_force)
@@ -89,6 +94,13 @@ def test_attempts_that_do_not_count_are_repeated_with_devices_opened_again_after
     laboratory = Laboratory(*outcomes)
     assert laboratory.play(monkeypatch) == played
     assert (laboratory.opened, laboratory.reasons) == (opened, reasons)
+    assert laboratory.eyes.rests, "between trials nothing moves"
+
+
+def test_reopened_station_knows_where_it_holds_its_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    laboratory = Laboratory(S, None, T)
+    assert laboratory.play(monkeypatch) == [S, TrialOutcome.DEVICE_FAULT, T]
+    assert laboratory.held_beside_mm == [(0.0, 0.0), (1.5, -1.0)]
 
 
 def test_a_policy_that_the_limit_of_force_stops_twice_has_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
