@@ -98,7 +98,7 @@ class Arm:
             return
         if status.grasp is Grasp.MOVING:
             raise DeviceFault("The gripper reports that its fingers move, though it was not asked to. Free them.")
-        raise NoPeg("The gripper has lost its peg. Put it back into the garage.")
+        raise NoPeg("The gripper has lost its peg or key. Put it back into the garage.")
 
     def fetch(self, grip_force: int | None = None, beside_mm: Beside = (0.0, 0.0)) -> None:
         """Take the peg from its garage; a peg that the gripper holds is put there first.
@@ -114,7 +114,7 @@ class Arm:
         is_felt = grip_force is not None or (sight.left.is_contact() and sight.right.is_contact())
         if not (self.holds_peg() and is_felt):
             self._grip(self._procedure.open_position)
-            raise NoPeg("The gripper closed on nothing in the garage. Put the peg into it.")
+            raise NoPeg("The gripper closed on nothing in the garage. Put peg or key into it.")
         self._station.held_beside_mm = beside_mm
         self.lift(self._procedure.safe_z_mm)
 

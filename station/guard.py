@@ -28,13 +28,13 @@ CONTROL_PERIOD_S: Final = 0.02
 
 LARGEST_RADIUS_MM: Final = 12.0
 LARGEST_THETA_DEG: Final = 15.0
+"""An action that leads further from the hole than these two ends a trial of the peg as the policy's error."""
 KEY_X_RANGE_MM, KEY_Z_RANGE_MM = (-5.0, 70.0), (-3.0, 12.0)
 """Of a key in a trial of the lock, from where it is deepest."""
 LARGEST_BESIDE_MM: Final = 2.0
 """How far from the middle of a key's handle the gripper closes, along the key and in height, as in simulation."""
 KEY_PULL_MM: Final = 5.0
 """Way on which a key whose teeth are in their slots must meet resistance: more than their room there."""
-"""An action that leads further from the hole than these two ends a trial of the peg as the policy's error."""
 
 
 class LimitPassed(VitacError):

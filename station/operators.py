@@ -19,7 +19,7 @@ from .guard import StationStopped
 _NOTE_CHARACTERS: Final = 500
 _PAUSE_S: Final = 2.0
 """After a stop, where nobody has to release the station."""
-_SAFE: Final = ("Nothing touches the stage.", "The peg is in its garage or in the gripper.", "Nobody is in reach.")
+_SAFE: Final = ("Nothing touches the stage.", "Peg or key is in its garage or in the gripper.", "Nobody is in reach.")
 
 
 class OperatorDecision(StrEnum):

@@ -14,7 +14,7 @@ class TrialOutcome(SentenceEnum):
     ERROR = "error", "An action led out of the range of offsets; nothing moved."
     POLICY_FAILED = "policy_failed", "The policy crashed, broke a limit or answered wrongly; nothing moved."
     NOT_BLOCKED = "not_blocked", "The descent met no plate, so no start was blocked."
-    NO_PEG = "no_peg", "The gripper holds no peg, or lost it."
+    NO_PEG = "no_peg", "The gripper holds no peg or key, or lost it."
     STOPPED = "stopped", "A limit of the station was passed and everything stopped."
     DEVICE_FAULT = "device_fault", "A device did not answer or reported a fault."
     REFUSED = "refused", "The station was not ready."

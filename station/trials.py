@@ -251,11 +251,12 @@ class TrialPlayer:
 
 def _describe(task: Task, episode: Episode, attempt: int, code: str | None) -> dict[str, Any]:
     """Return what operators see of a trial: nothing that says whose policy plays."""
-    x_mm, y_mm, theta_deg, *_ = episode.offset
+    x_mm, y_mm, third, *_ = episode.offset
+    is_turned = any(component.name == "theta" for component in task.actions)
     return {
         "task": task.title,
         "shape": episode.shape,
-        "start": f"x {x_mm:g} mm, y {y_mm:g} mm, turned {theta_deg:g} degrees",
+        "start": f"x {x_mm:g} mm, y {y_mm:g} mm, " + (f"turned {third:g} degrees" if is_turned else f"z {third:g} mm"),
         "attempt": attempt,
         "code": code,
     }

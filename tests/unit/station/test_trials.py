@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -95,6 +96,15 @@ def test_attempts_that_do_not_count_are_repeated_with_devices_opened_again_after
     assert laboratory.play(monkeypatch) == played
     assert (laboratory.opened, laboratory.reasons) == (opened, reasons)
     assert laboratory.eyes.rests, "between trials nothing moves"
+
+
+@pytest.mark.parametrize(
+    ("task", "start"),
+    [("peg-insertion", "x 1 mm, y -2 mm, turned 3 degrees"), ("lock-opening", "x 1 mm, y -2 mm, z 3 mm")],
+)
+def test_console_describes_a_start_as_its_task_means_it(task: str, start: str) -> None:
+    episode = replace(EPISODE, offset=(1.0, -2.0, 3.0))
+    assert trials._describe(load_track("track_1").tasks[task], episode, 1, None)["start"] == start
 
 
 def test_reopened_station_knows_where_it_holds_its_part(monkeypatch: pytest.MonkeyPatch) -> None:
