@@ -20,11 +20,21 @@ from vitac.evaluator.tracks.registry import find_task
 from vitac.evaluator.tracks.sealed import read_secret, sealed_track
 
 POLICIES = {
-    "peg-insertion-robust": ("peg-insertion", EXAMPLES / "peg_insertion_trained" / "Track_1"),
-    "lock-opening-robust": ("lock-opening", EXAMPLES / "lock_opening_trained" / "Track_1"),
-    "fusion-robust": ("fusion-insertion", EXAMPLES / "track_2_fusion" / "Track_2"),
+    name: (played, EXAMPLES / folder)
+    for name, played, folder in (
+        ("peg-insertion-robust", "peg-insertion", "peg_insertion_arena/Track_1"),
+        ("lock-opening-robust", "lock-opening", "lock_opening_trained/Track_1"),
+        ("fusion-robust", "fusion-insertion", "track_2_fusion/Track_2"),
+        ("explore-robust", "explore", "explore_scripted/Explore"),
+        ("moving-hole-robust", "peg-insertion", "peg_insertion_arena/Track_1"),
+        ("in-hand-turn-robust", "in-hand-turn", "in_hand_turn_cloned/InHandTurn"),
+        ("slip-robust", "slip", "slip_scripted/Slip"),
+        ("soft-plug-robust", "soft-plug", "soft_plug_scripted/SoftPlug"),
+        ("cable-end-robust", "cable-end", "cable_end_scripted/CableEnd"),
+        ("assembly-robust", "assembly", "assembly_cloned/Assembly"),
+    )
 }
-"""Name by which each example knows the task, and its folder."""
+"""Name by which each variant's example knows the task, and its folder."""
 
 Row = dict[str, Any]
 

@@ -11,19 +11,20 @@ import re
 from pathlib import Path
 from typing import Any
 
+from one_at_a_time import POLICIES
 from vitac.envs.tasks.quantities import Quantity
 from vitac.evaluator.tracks import Task
 from vitac.evaluator.tracks.registry import find_task
 
 FOLDER = Path(__file__).parent
 DOCUMENT = FOLDER.parents[1] / "docs" / "variants.md"
-TASKS = ("peg-insertion-robust", "lock-opening-robust", "fusion-robust")
+SWEPT = ("peg-insertion-robust", "lock-opening-robust", "fusion-robust")
 
 
 def main() -> None:
     """Put every table in the place of the one that stands there."""
     text = DOCUMENT.read_text()
-    for name, table in {"headroom": headroom(), **{task: quantities(task) for task in TASKS}}.items():
+    for name, table in {"headroom": headroom(), **{task: quantities(task) for task in SWEPT}}.items():
         found = re.search(rf"<!-- table {name} -->\n(.*?)<!-- end -->", text, re.DOTALL)
         assert found, name  # noqa: S101 - the page has a place for each
         text = text[: found.start(1)] + table + text[found.end(1) :]
@@ -33,7 +34,7 @@ def main() -> None:
 def headroom() -> str:
     """Return the table of both players' rates in each task."""
     lines = ["| task | list | example | planner with the truth | quantities, monotone |", "|---|---|---|---|---|"]
-    for name in TASKS:
+    for name in POLICIES:
         for number, found in enumerate(read_lists(name), start=1):
             example, truth = (written(found["players"][player]) for player in ("example", "truth"))
             drawn = found["by_draw"].values()
