@@ -270,27 +270,15 @@ def _compared(one: Evaluated, other: Evaluated) -> dict[str, Comparison]:
 
     Raises:
         OtherEpisodes: they are of two lists.
-        NothingToCompare: they have no episode in common.
+        NothingToCompare: they have no episode from the same start in common.
     """
     from vitac.evaluator.scoring.comparison import compare_tasks
-    from vitac.evaluator.scoring.starts import find_start
 
     if one.track != other.track:
         raise OtherEpisodes(f"Expected two evaluations of one track, got {one.track} and {other.track}.")
     if None not in (one.list_hash, other.list_hash) and one.list_hash != other.list_hash:
         raise OtherEpisodes(f"Expected two evaluations of one list, got {one.list_hash} and {other.list_hash}.")
-    by_task = compare_tasks(one.episodes, other.episodes)
-    for pair in (pair for comparison in by_task.values() for pair in comparison.pairs):
-        if find_start(pair.first) != find_start(pair.second):
-            raise OtherEpisodes(
-                f"Expected two evaluations of one list, got {_describe_start(pair.first)} and "
-                f"{_describe_start(pair.second)} in episode {pair.first.episode} of {pair.first.task}."
-            )
-    return by_task
-
-
-def _describe_start(end: FinishedEpisode) -> str:
-    return f"{end.shape} at {', '.join(f'{value:g}' for value in end.initial_offset)}"
+    return compare_tasks(one.episodes, other.episodes)
 
 
 def _episodes(sides: Sequence[Evaluated]) -> list[Row]:

@@ -112,11 +112,14 @@ def compare_tasks(first: Iterable[FinishedEpisode], second: Iterable[FinishedEpi
         NothingToCompare: there is none.
     """
     ours, theirs = ({(end.task, end.episode): end for end in ends} for ends in (first, second))
-    common = sorted(key for key in ours.keys() & theirs.keys() if find_start(ours[key]) == find_start(theirs[key]))
+    shared = sorted(ours.keys() & theirs.keys())
+    common = [key for key in shared if find_start(ours[key]) == find_start(theirs[key])]
     if not common:
+        starts = [f"{_describe_start(ours[key])} and {_describe_start(theirs[key])}" for key in shared[:1]]
         raise NothingToCompare(
-            f"Expected two evaluations of one task, got {len(ours)} and {len(theirs)} episodes, none of them in both "
-            "from the same start."
+            f"Expected two evaluations of one list, got {len(ours)} and {len(theirs)} episodes, none of them in both"
+            + "".join(f" from the same start: episode {shared[0][1]} starts with {start}" for start in starts)
+            + "."
         )
     single = [task for task, _ in (ours.keys() | theirs.keys()) - set(common)]
     return {
@@ -125,6 +128,10 @@ def compare_tasks(first: Iterable[FinishedEpisode], second: Iterable[FinishedEpi
         )
         for task, keys in groupby(common, key=itemgetter(0))
     }
+
+
+def _describe_start(end: FinishedEpisode) -> str:
+    return f"{end.shape} at {', '.join(f'{value:g}' for value in end.initial_offset)}"
 
 
 def adjust_p_values(p_values: Sequence[float]) -> list[float]:
