@@ -122,9 +122,9 @@ _FIGURES = (
         "slip",
         "slip",
         "slip_cloned",
-        {"bar": (23, 17), "block": (19, 21), "column": (22, 18)},
-        21.48,
-        {"grip_force_n": 7.9835},
+        {"bar": (15, 25), "block": (19, 21), "column": (10, 30)},
+        21.26,
+        {"grip_force_n": 7.5364},
     ),
     _Figures(
         "soft_plug",
