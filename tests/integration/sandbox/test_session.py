@@ -520,7 +520,6 @@ def name_of(pid: int) -> str:
         return ""
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only under root does the policy run as another user")
 def test_a_sandbox_that_is_killed_while_the_policy_loads_is_not_the_policys_fault(make: Make) -> None:
     folder = make("return observation['x']", top="import time\ntime.sleep(20)")
 
@@ -537,6 +536,7 @@ def test_a_sandbox_that_is_killed_while_the_policy_loads_is_not_the_policys_faul
     killer.join()
 
 
+@pytest.mark.skipif(os.geteuid() != 0, reason="only under root does the policy run as another user")
 def test_a_folder_that_only_root_can_enter_is_refused(make: Make) -> None:
     folder = make("return [0, 0, 0]")
     folder.chmod(0o700)
