@@ -18,7 +18,7 @@ from .starts import PlayedEpisode, design_effect, find_start, group_by_start, pe
 
 
 class NothingToCompare(VitacError):
-    """The two evaluations have no episode in common: they are of other tasks, or of other parts of the list."""
+    """The two evaluations have no episode in common: they are of other tasks, parts of the list, or starts."""
 
 
 class FinishedEpisode(PlayedEpisode, Protocol):
@@ -115,12 +115,13 @@ def compare_tasks(first: Iterable[FinishedEpisode], second: Iterable[FinishedEpi
     shared = sorted(ours.keys() & theirs.keys())
     common = [key for key in shared if find_start(ours[key]) == find_start(theirs[key])]
     if not common:
-        starts = [f"{_describe_start(ours[key])} and {_describe_start(theirs[key])}" for key in shared[:1]]
-        raise NothingToCompare(
+        message = (
             f"Expected two evaluations of one list, got {len(ours)} and {len(theirs)} episodes, none of them in both"
-            + "".join(f" from the same start: episode {shared[0][1]} starts with {start}" for start in starts)
-            + "."
         )
+        if shared:
+            starts = " and ".join(_describe_start(side[shared[0]]) for side in (ours, theirs))
+            message += f" from the same start: episode {shared[0][1]} starts with {starts}"
+        raise NothingToCompare(f"{message}.")
     single = [task for task, _ in (ours.keys() | theirs.keys()) - set(common)]
     return {
         task: Comparison(
