@@ -38,6 +38,8 @@ START_WIDTH_MM = 36.0
 _START_GAP_MM, _REST_STEPS = 0.1, 2
 # The gripper is at the height of the middle of the head of the part in the tray.
 _START_Z_MM = 0.5 * (HEAD_LOW_MM + HEAD_HIGH_MM) - TRAY_DEPTH_MM
+# The gripper goes no lower, 2 mm beyond its range: the gels' lower edges are 0.4 mm above the plate there.
+_LOWEST_Z_MM = _START_Z_MM - 10.0
 
 # Share of the part's mass that is spread over it; the rest is a weight between the lugs, so that it stands up again.
 _SPREAD = 0.2
@@ -179,13 +181,16 @@ class AssemblyScene:
         self.grasped.capture_references()
 
     def move(self, command: FloatArray) -> None:
-        """Move, turn and close the gripper as an action says, all together, and note which stage that reaches."""
+        """Move, turn and close the gripper as an action says, all together, and note which stage that reaches.
+
+        It stops above the plate.
+        """
         scaled = np.clip(command, -1.0, 1.0) * np.array(self._settings.action_scale_mm_deg)
         x_mm, y_mm, z_mm, theta_deg, wider_mm = scaled.tolist()
         goal = self.grasped.pose.moved(
             x_m=1e-3 * x_mm,
             y_m=1e-3 * y_mm,
-            z_m=1e-3 * z_mm,
+            z_m=max(1e-3 * z_mm, 1e-3 * _LOWEST_Z_MM - self.grasped.pose.z_m),
             angle_rad=radians(theta_deg),
             closing_m=-0.5e-3 * wider_mm,
         )

@@ -39,6 +39,13 @@ def test_action_moves_turns_and_closes_the_gripper() -> None:
     assert observation["gripper_width"] == pytest.approx([36.0 - 3.0])
 
 
+def test_gripper_stops_above_the_plate_and_has_left_its_range_there() -> None:
+    env, *_, info = played(LOWER, LOWER, (0, 0, -0.5, 0, 0))
+    assert info["end_reason"] is None
+    *_, info = env.step(np.array(LOWER, dtype=np.float32))
+    assert (info["relative_motion_mm_deg"][2], info["end_reason"]) == (pytest.approx(-10.0), "error")
+
+
 def test_part_stands_in_the_tray_as_the_options_say_and_its_weight_is_low(physics: list[FakeScene]) -> None:
     start = {**START, "offset_mm_deg": (3.0, -0.5, 7.0)}
     env, _, info = played(start=start, part_mass_kg=0.1)
