@@ -57,9 +57,9 @@ class AssemblyEnv(TactileTaskEnv[AssemblyScene, AssemblySettings]):
 
     Ends: terminated by success, the fourth stage (`end_reason` "success"); truncated by a sensing surface that moved
     more than 1.5 mm ("tactile"); by a gripper that left its range of -12 to 38 mm along x, 8 mm either way along y, -8
-    to 16 mm upwards (it stops at -10 mm, above the plate) and -40 to 90 degrees from the start, or a part that fell over, tilted by more than 15 degrees, or
-    fell off ("error"); by 40 env steps ("steps"), or physics that did not converge ("not_converged", after which
-    nothing moves).
+    to 16 mm upwards (it stops above the plate, at -10 mm) and -40 to 90 degrees from the start, or a part that fell
+    over, tilted by more than 15 degrees, or fell off ("error"); by 40 env steps ("steps"), or physics that did not
+    converge ("not_converged", after which nothing moves).
 
     Keyword arguments: those of `TactileTaskEnv`, and fields of `AssemblySettings`.
     """

@@ -79,9 +79,6 @@ class UserIsolation(StrEnum):
 class Descriptors:
     """Descriptors that the command inherits."""
 
-    channel: int
-    status: int
-    """The first process reports here how the others end."""
     seccomp: int
     passwd: int
     info: int
@@ -196,14 +193,7 @@ def command(
         "--",
         *([] if image is not None else _drop_privileges(uid)),  # of an image the runtime does so, once it is inside
         *_process_limits(limits, has_gpu=image is not None and image.gpu is not None),
-        *inside_command(
-            interpreter,
-            limits,
-            channel=descriptors.channel,
-            status=descriptors.status,
-            image=image,
-            own_uid=own_uid,
-        ),
+        *inside_command(interpreter, limits, image=image, own_uid=own_uid),
     ]
 
 
@@ -213,32 +203,17 @@ def inside_folder(image: ImageProgram | None) -> str:
 
 
 def inside_command(
-    interpreter: Interpreter,
-    limits: Limits,
-    *,
-    channel: int,
-    status: int,
-    image: ImageProgram | None,
-    own_uid: int | None,
+    interpreter: Interpreter, limits: Limits, *, image: ImageProgram | None, own_uid: int | None
 ) -> list[str]:
     """Return the command line of what runs inside: the runtime of policies, or that of images.
 
     Args:
         interpreter: Python and its packages.
         limits: what the policy may use.
-        channel: descriptor of the channel.
-        status: descriptor that reports are written to.
         image: what is run in place of a policy's class.
         own_uid: user that an image's program becomes; None: it is that already.
     """
-    run = partial(
-        runtime_command,
-        limits,
-        channel=channel,
-        status=status,
-        program=interpreter.executable,
-        packages=interpreter.packages,
-    )
+    run = partial(runtime_command, limits, program=interpreter.executable, packages=interpreter.packages)
     if image is None:
         return run()
     return run(runtime=INSIDE_IMAGE_RUNTIME, submission=_image_order(image, own_uid))
@@ -249,8 +224,8 @@ def _image_order(image: ImageProgram, own_uid: int | None) -> str:
     variables = {**ENVIRONMENT, **image.variables, **_OWN_FOLDERS, CHANNEL_VARIABLE: str(CHANNEL)}
     if image.gpu is not None:
         variables["LD_LIBRARY_PATH"] = ":".join(filter(None, (INSIDE_DRIVER, variables.get("LD_LIBRARY_PATH"))))
-    order = {"root": INSIDE_IMAGE, "uid": own_uid, "arguments": image.arguments, "variables": variables}
-    return json.dumps({**order, "folder": image.folder, "channel": CHANNEL})
+    what = {"arguments": image.arguments, "variables": variables, "folder": image.folder}
+    return json.dumps({"root": INSIDE_IMAGE, "uid": own_uid, **what})
 
 
 def empty_command() -> list[str]:
@@ -439,8 +414,6 @@ def _process_limits(limits: Limits, *, has_gpu: bool = False) -> list[str]:
 def runtime_command(
     limits: Limits,
     *,
-    channel: int,
-    status: int,
     program: Path,
     packages: Iterable[Path],
     runtime: str = INSIDE_RUNTIME,
@@ -450,8 +423,6 @@ def runtime_command(
 
     Args:
         limits: what the policy may use.
-        channel: descriptor of the channel.
-        status: descriptor that reports are written to.
         program: Python.
         packages: folders of packages.
         runtime: file of the runtime.
@@ -459,7 +430,7 @@ def runtime_command(
     """
     # Not -I: it would ignore PYTHONHASHSEED. The environment holds nothing but what is set above.
     return [
-        *(str(program), "-P", "-s", "-B", "-u", runtime, str(channel), str(status), *_cpu_limits(limits), submission),
+        *(str(program), "-P", "-s", "-B", "-u", runtime, *_cpu_limits(limits), submission),
         *map(str, packages),
     ]
 

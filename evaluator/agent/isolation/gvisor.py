@@ -22,9 +22,7 @@ from .packages import Interpreter
 PROGRAM_VARIABLE: Final = "VITAC_RUNSC"
 EXTRA_PROCESSES: Final = 128
 """Threads of gVisor's own, which the control group counts with the policy's."""
-_CHANNEL: Final = 3
-_STATUS: Final = 4
-_TAKE_DESCRIPTORS: Final = f'exec {_CHANNEL}<&0 {_STATUS}>&2 </dev/null 2>&1; exec "$@"'
+_TAKE_DESCRIPTORS: Final = 'exec 3<&0 4>&2 </dev/null 2>&1; exec "$@"'
 """gVisor passes on the three standard streams only: channel, output and status come in as those."""
 _REFUSED: Final = ("statfs", "fstatfs")
 """What gVisor asks the machine: how full the memory is that sandboxes share."""
@@ -84,7 +82,7 @@ def command(
         elif (system / folder.name).exists():
             (root / folder.name).mkdir(mode=0o755)
             binds[str(folder)] = system / folder.name
-    runtime = bubblewrap.inside_command(interpreter, limits, channel=_CHANNEL, status=_STATUS, image=image, own_uid=uid)
+    runtime = bubblewrap.inside_command(interpreter, limits, image=image, own_uid=uid)
     # The runtime of images gives up these and the user; gVisor leaves none to a user who is not root.
     rights = [] if image is None else ["CAP_SYS_CHROOT", "CAP_SETUID", "CAP_SETGID"]
     first_uid = uid if image is None else 0

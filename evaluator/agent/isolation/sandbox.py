@@ -242,8 +242,6 @@ class Sandbox:
         given_away.callback(os.close, info_write)
         uid = bubblewrap.choose_uid()
         descriptors = bubblewrap.Descriptors(
-            channel=channel,
-            status=status,
             seccomp=given_away.enter_context(
                 bubblewrap.open_data(
                     seccomp.filter_program(() if self._image is None else ("chroot",), has_gpu=self._has_gpu)
@@ -275,9 +273,7 @@ class Sandbox:
 
     def _start_unisolated(self, _: contextlib.ExitStack, channel: int, status: int, output: int) -> Callable[[], int]:
         folder = Path(self._exits.enter_context(tempfile.TemporaryDirectory(prefix="vitac-policy-")))
-        command = unisolated.command(
-            folder, submission=self._submission, limits=self.limits, channel=channel, status=status
-        )
+        command = unisolated.command(folder, submission=self._submission, limits=self.limits)
         self._process = subprocess.Popen(  # noqa: S603 - the command holds paths of ours only
             command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, pass_fds=(channel, status),
             env=unisolated.environment(), start_new_session=True,

@@ -10,22 +10,18 @@ from . import bubblewrap
 from .packages import package_folders
 
 
-def command(folder: Path, *, submission: Path, limits: Limits, channel: int, status: int) -> list[str]:
+def command(folder: Path, *, submission: Path, limits: Limits) -> list[str]:
     """Return the command line, and put our files, which lie beside each other in a sandbox, into a folder.
 
     Args:
         folder: empty, stays for as long as the policy runs.
         submission: folder of the policy.
         limits: what the policy may use.
-        channel: descriptor of the channel.
-        status: descriptor that reports are written to.
     """
     for outside, inside in bubblewrap.OWN_FILES:
         shutil.copy(outside, folder / Path(inside).name)
     return bubblewrap.runtime_command(
         limits,
-        channel=channel,
-        status=status,
         program=Path(sys.executable),
         packages=package_folders(),
         runtime=str(folder / Path(bubblewrap.INSIDE_RUNTIME).name),

@@ -1,7 +1,7 @@
 """Runs inside the sandbox as its first process: loads the policy and answers the evaluator's questions.
 
 Only the standard library, NumPy and `back_projection`, which needs NumPy only, are imported. Started as
-`python agent.py CHANNEL_FD STATUS_FD CPU_SOFT_S CPU_HARD_S SUBMISSION PACKAGES...`.
+`python agent.py CPU_SOFT_S CPU_HARD_S SUBMISSION PACKAGES...`, with the channel and a pipe for reports open.
 Nothing here is relied upon for safety: after the policy is imported it owns this code too, and the evaluator checks
 every byte that it sends. Three processes take part:
 
@@ -14,6 +14,7 @@ every byte that it sends. Three processes take part:
 import contextlib
 import errno
 import faulthandler
+import fcntl
 import functools
 import gc
 import importlib
@@ -26,6 +27,7 @@ import resource
 import runpy
 import signal
 import socket
+import stat
 import struct
 import sys
 import traceback
@@ -45,6 +47,7 @@ BACK_PROJECTION = Path(__file__).with_name("back_projection.py")
 NAMES_SHOWN = 20
 WHEELS_FOLDER = "site-packages"  # of the submission, with the files of its wheels
 LOADER = 2  # pid of the loader in a sandbox, and its name in reports elsewhere
+CHANNEL, REPORTS = 3, 4  # descriptors, whatever the evaluator has open
 PIPE_NUMBERS = itertools.count()
 FORK_ERRORS = ("can't start new thread", "Resource temporarily unavailable")
 
@@ -375,32 +378,45 @@ def describe_room(path: object) -> os.statvfs_result:
     return os.statvfs_result((4096, 4096, blocks, blocks, blocks, blocks, blocks, blocks, 0, 255))
 
 
-def list_gaps(kept: list[int]) -> list[tuple[int, int]]:
-    """Return the ranges of descriptors above the standard streams that are not kept."""
-    starts = [3, *(descriptor + 1 for descriptor in kept)]
-    return list(zip(starts, [*kept, 1 << 16], strict=True))
+def take_descriptors() -> None:
+    """Make the only socket CHANNEL and the only pipe REPORTS, and close what else is open but the standard streams.
+
+    On the command line, which the policy can read, their numbers would say what the evaluator has open.
+    """
+    found = [first_descriptor(is_kind) for is_kind in (stat.S_ISSOCK, stat.S_ISFIFO)]
+    channel, reports = (fcntl.fcntl(descriptor, fcntl.F_DUPFD, REPORTS + 1) for descriptor in found)
+    os.dup2(channel, CHANNEL)
+    os.dup2(reports, REPORTS)
+    os.closerange(REPORTS + 1, 1 << 16)
+
+
+def first_descriptor(is_kind: Callable[[int], bool]) -> int:
+    """Return the first descriptor above the standard streams whose file's mode is of this kind."""
+    for descriptor in itertools.count(CHANNEL):
+        with contextlib.suppress(OSError):
+            if is_kind(os.fstat(descriptor).st_mode):
+                return descriptor
+    raise AssertionError
 
 
 def main(arguments: list[str]) -> None:
     """Fork the loader and report how the sandbox's processes end."""
-    channel, status = int(arguments[0]), int(arguments[1])
-    cpu_limits, submission, packages = (int(arguments[2]), int(arguments[3])), arguments[4], arguments[5:]
+    cpu_limits, submission, packages = (int(arguments[0]), int(arguments[1])), arguments[2], arguments[3:]
     # What the machine's own Python has installed besides would differ from machine to machine.
     sys.path[:] = [*packages, *(folder for folder in sys.path if not folder.endswith("-packages"))]
     sys.argv = ["policy"]
-    for first, last in list_gaps(sorted((channel, status))):
-        os.closerange(first, last)
+    take_descriptors()
     alone = os.getpid() != 1  # without a sandbox
     pid = os.fork()
     if pid == 0:
-        os.close(status)
+        os.close(REPORTS)
         resource.setrlimit(resource.RLIMIT_CPU, cpu_limits)
         faulthandler.enable()
-        run_policy_side(Connection(channel), submission, alone=alone)
-    os.close(channel)
+        run_policy_side(Connection(CHANNEL), submission, alone=alone)
+    os.close(CHANNEL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the only signal that Python gives process 1 a handler for
-    os.write(status, STATUS.pack(0, 0))  # the sandbox works: from here on a failure is the policy's
-    report_children(status, pid)
+    os.write(REPORTS, STATUS.pack(0, 0))  # the sandbox works: from here on a failure is the policy's
+    report_children(REPORTS, pid)
 
 
 if __name__ == "__main__":

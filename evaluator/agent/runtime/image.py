@@ -1,9 +1,8 @@
 """Runs inside the sandbox as its first process, in place of `agent`: enters a container image and runs its command.
 
-Only the standard library is imported. Started as
-`python image.py CHANNEL_FD STATUS_FD CPU_SOFT_S CPU_HARD_S ORDER ...`. This process stays outside of the image and
-reports how its child ends. The child enters the image, gives up every right, and becomes the command, which answers the
-evaluator's questions on the channel (docs/policy-protocol.md).
+Only the standard library is imported. Started as `python image.py CPU_SOFT_S CPU_HARD_S ORDER ...`, otherwise as
+`agent` is. This process stays outside of the image and reports how its child ends. The child enters the image, gives up
+every right, and becomes the command, which answers the evaluator's questions on the channel (docs/policy-protocol.md).
 """
 
 import ctypes
@@ -17,7 +16,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 sys.path.insert(0, str(Path(__file__).parent))
-from agent import STATUS, list_gaps, report_children  # type: ignore[attr-defined]  # beside this file
+from agent import CHANNEL, REPORTS, STATUS, report_children, take_descriptors  # type: ignore[attr-defined]  # beside this file
 
 CAPABILITY_VERSION = 0x20080522
 PR_SET_PDEATHSIG = 1
@@ -36,13 +35,11 @@ def drop_rights(uid: int | None) -> None:
     library.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)  # which the change of the user has cleared
 
 
-def become_command(order: dict[str, Any], channel: int) -> NoReturn:
+def become_command(order: dict[str, Any]) -> NoReturn:
     """Enter the image and run its command."""
     os.chroot(order["root"])
     os.chdir("/")
     drop_rights(order["uid"])
-    os.dup2(channel, order["channel"])
-    os.closerange(order["channel"] + 1, 1 << 16)
     for number in (signal.SIGPIPE, signal.SIGXFSZ):  # which Python ignores
         signal.signal(number, signal.SIG_DFL)
     arguments = order["arguments"]
@@ -58,20 +55,18 @@ def become_command(order: dict[str, Any], channel: int) -> NoReturn:
 
 def main(arguments: list[str]) -> None:
     """Start the command and report how the sandbox's processes end."""
-    channel, status, *cpu_limits = map(int, arguments[:4])
-    order = json.loads(arguments[4])
-    for first, last in list_gaps(sorted((channel, status))):
-        os.closerange(first, last)
+    order = json.loads(arguments[2])
+    take_descriptors()
     pid = os.fork()
     if pid == 0:
-        os.close(status)
-        resource.setrlimit(resource.RLIMIT_CPU, (cpu_limits[0], cpu_limits[1]))
-        become_command(order, channel)
-    os.close(channel)
+        os.close(REPORTS)
+        resource.setrlimit(resource.RLIMIT_CPU, (int(arguments[0]), int(arguments[1])))
+        become_command(order)
+    os.close(CHANNEL)
     drop_rights(order["uid"])
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the only signal that Python gives process 1 a handler for
-    os.write(status, STATUS.pack(0, 0))  # the sandbox works: from here on a failure is the policy's
-    report_children(status, pid)
+    os.write(REPORTS, STATUS.pack(0, 0))  # the sandbox works: from here on a failure is the policy's
+    report_children(REPORTS, pid)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import textwrap
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import numpy as np
@@ -623,6 +623,30 @@ def test_process_ids_repeat_on_this_machine(make: Make) -> None:
         assert session.isolation.process_ids_repeat is can_set_process_ids()
 
 
+OPEN_DESCRIPTORS = """
+import os, sys
+def is_open(descriptor):
+    try:
+        os.fstat(descriptor)
+    except OSError:
+        return False
+    return True
+def last_open():
+    return max(filter(is_open, range(1024)))
+"""
+
+
+def test_numbers_of_descriptors_do_not_say_what_the_evaluator_has_open(make: Make) -> None:
+    folder = make("return [last_open(), os.open('/dev/null', os.O_RDONLY), len(str(sys.orig_argv))]", OPEN_DESCRIPTORS)
+    played = []
+    with ExitStack() as opened:
+        for count in (0, 200):
+            for _ in range(count):
+                opened.enter_context(Path(os.devnull).open())
+            played.append(play_one(folder))
+    assert played[0] == played[1] == [3, 4, played[0][2]]
+
+
 def can_set_process_ids() -> bool:
     try:
         with Path("/proc/sys/kernel/ns_last_pid").open("w"):
@@ -633,17 +657,17 @@ def can_set_process_ids() -> bool:
 
 HIDES_ITS_OUTPUT = """
 import os, socket
-for descriptor in range(3, 40):
+for descriptor in range(3, 1024):
     try:
-        found = socket.socket(fileno=os.dup(descriptor))
+        copy = os.dup(descriptor)
     except OSError:
         continue
-    for _ in range(200):
-        try:
-            socket.send_fds(found, [b"x"], [1], socket.MSG_DONTWAIT)
-        except OSError:
-            break
-    found.detach()
+    with socket.socket(fileno=copy) as found:
+        for _ in range(200):
+            try:
+                socket.send_fds(found, [b"x"], [1], socket.MSG_DONTWAIT)
+            except OSError:
+                break
 """
 
 
@@ -677,8 +701,8 @@ def test_names_too_long_for_a_path_are_the_policys_fault(make: Make, more: str) 
 
 
 def test_the_next_shard_pays_for_the_loading_as_well(make: Make) -> None:
-    folder = make("return [0, 0, 0]", f"import os, time\n{textwrap.dedent(BUSY)}")
-    with PolicySession(folder, limits=Limits(shard_cpu_s=0.1)) as session:
+    folder = make("return [0, 0, 0]", f"import os, time\n{4 * BUSY}")
+    with PolicySession(folder, limits=Limits(shard_cpu_s=0.3)) as session:
         session.begin_shard()
         with pytest.raises(PolicyFailed) as caught:
             act_once(session)

@@ -10,7 +10,7 @@ from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.agent.verdicts import SandboxFailed
 
 WRITEABLE = ("/tmp", "/dev/shm")
-DESCRIPTORS = Descriptors(channel=10, status=11, seccomp=12, passwd=13, info=14)
+DESCRIPTORS = Descriptors(seccomp=12, passwd=13, info=14)
 
 
 @pytest.fixture(params=[0, 1000], ids=["root", "user"])
@@ -170,7 +170,7 @@ def test_a_tool_of_ours_has_no_more_rights_than_a_policy(as_user: UserIsolation,
             tool, interpreter=find_interpreter(), limits=limits, uid=4711, seccomp=8, passwd=9
         )
     own = found[: found.index("--")]
-    descriptors = Descriptors(channel=3, status=4, seccomp=8, passwd=9, info=5)
+    descriptors = Descriptors(seccomp=8, passwd=9, info=5)
     policy = bubblewrap.command(
         program=program,
         submission=folder,

@@ -286,11 +286,6 @@ def test_a_refusal_of_ours_passes_through_and_any_other_end_becomes_one(capsys: 
     assert agent.guarded("crashed", "act()", lambda: 5) == 5
 
 
-def test_descriptors_between_those_that_are_kept_are_closed() -> None:
-    assert agent.list_gaps([5, 9]) == [(3, 5), (6, 9), (10, 1 << 16)]
-    assert agent.list_gaps([3, 4]) == [(3, 3), (4, 4), (5, 1 << 16)]
-
-
 class Believer:
     def __init__(self, believed: Any) -> None:
         self._believed = believed
