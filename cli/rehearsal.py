@@ -37,7 +37,8 @@ def rehearse_submission(
     from vitac.evaluator.submission.sources import staged, submission_digest
     from vitac.evaluator.tracks import load_track
     from vitac.station.eyes import find_procedure
-    from vitac.station.rehearsal import RehearsalReport, find_station_task, found_station, rehearse
+    from vitac.station.held_part import HeldPart
+    from vitac.station.rehearsal import TWIN, RehearsalReport, find_station_task, found_station, rehearse
     from vitac.station.trials import TrialPlayer
 
     require_extra("station", *STATION_MODULES, user="A station")
@@ -53,6 +54,7 @@ def rehearse_submission(
                 folder=folder,
                 operator=make_operator(description),
                 show=album.show if album else no_pictures,
+                held=HeldPart() if named == TWIN else HeldPart.of_station(Path(named)),
             ) as player,
             serving_console(player) as console,
         ):

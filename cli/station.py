@@ -192,6 +192,7 @@ def run(
     from vitac.server.storage.scratch import scratch_folder
     from vitac.station.agent import StationShards
     from vitac.station.description import read_description
+    from vitac.station.held_part import HeldPart
     from vitac.station.rehearsal import refuse_wrong_devices
     from vitac.station.trials import TrialPlayer
     from vitac.worker.live_pictures import LivePictures
@@ -213,6 +214,7 @@ def run(
             operator=make_operator(description),
             attempts=1,
             show=show,
+            held=HeldPart.of_station(file),
         )
         stack.enter_context(player)
         address = stack.enter_context(serving_console(player, port))

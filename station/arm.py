@@ -9,9 +9,9 @@ from vitac.errors import VitacError
 from .devices.gripper import Grasp, GripperStatus
 from .devices.stage import DeviceFault, Pose
 from .eyes import OpenStation, SensorReading
+from .held_part import Beside
 
 Offset = tuple[float, float, float]
-Beside = tuple[float, float]
 
 _SETTLE_S: Final = 0.1
 _GRIP_S: Final = 5.0
@@ -109,13 +109,13 @@ class Arm:
         """
         self.open_in_garage(beside_mm)
         self._station.eyes.start_again()
+        self._station.held.remember(beside_mm)
         self._grip(self._limits.gripper.position[1], grip_force)
         sight = self._wait(_SETTLE_S)
         is_felt = grip_force is not None or (sight.left.is_contact() and sight.right.is_contact())
         if not (self.holds_peg() and is_felt):
             self._grip(self._procedure.open_position)
             raise NoPeg("The gripper closed on nothing in the garage. Put peg or key into it.")
-        self._station.held_beside_mm = beside_mm
         self.lift(self._procedure.safe_z_mm)
 
     def open_in_garage(self, beside_mm: Beside = (0.0, 0.0)) -> None:
@@ -128,7 +128,7 @@ class Arm:
         is_held = self.holds_peg()
         if not is_held:
             self._grip(self._procedure.open_position)
-        there = self._garage(self._station.held_beside_mm if is_held else beside_mm)
+        there = self._garage(self._station.held.beside_mm if is_held else beside_mm)
         self.go(there._replace(z_mm=safe_mm))
         self.go(there)
         if is_held:

@@ -21,6 +21,7 @@ from .devices.force_torque import ForceTorqueSensor
 from .devices.gripper import HandE
 from .devices.stage import DeviceFault, GrblState, LinearStage, Pose
 from .guard import Guard, StopCause
+from .held_part import Beside, HeldPart
 from .overview import Overview
 from .perception.markers import DROPPED_PICTURES, AssignedMarkerTracker, MarkerFlow, MarkerTracker
 from .perception.observation import DAMAGED_PART, Cells, find_changed_part, measure_brightness
@@ -272,7 +273,7 @@ class OpenStation:
     Attributes:
         procedure: how trials are played on it.
         thresholds_px: movement of both gels that is more than noise, since the last grasp; None before it.
-        held_beside_mm: where the gripper closed, along the stage's x and z from the garage.
+        held: where the gripper has closed on its part.
     """
 
     description: StationDescription
@@ -284,28 +285,33 @@ class OpenStation:
     depth_camera: AnyDepthCamera | None = None
     overview: Overview | None = None
     thresholds_px: tuple[float, float] | None = None
-    held_beside_mm: tuple[float, float] = (0.0, 0.0)
+    held: HeldPart = field(default_factory=HeldPart)
 
 
 @contextmanager
-def open_station(description: StationDescription) -> Iterator[OpenStation]:
+def open_station(description: StationDescription, held: HeldPart | None = None) -> Iterator[OpenStation]:
     """Open the devices and watch them until the context ends.
 
     A stage in alarm is homed, one that was held gives up its motion, and the force/torque sensor is zeroed if the
     gripper holds nothing: whoever calls this has made the station safe.
+
+    Args:
+        description: of the station.
+        held: where the gripper has closed on its part; in the middle if None.
 
     Raises:
         DeviceNotFound: nothing answers at a device's address.
         DeviceFault: a device does not do what it is asked for.
         NoProcedure: the file has none.
     """
-    procedure = find_procedure(description)
+    procedure, held = find_procedure(description), held or HeldPart()
     with ExitStack() as stack:
         patience, at = description.patience, description.force_torque
         stage = stack.enter_context(LinearStage(description.stage.port, patience=patience))
         gripper = stack.enter_context(HandE(description.gripper.port, unit=description.gripper.unit, patience=patience))
         box = stack.enter_context(ForceTorqueSensor(at.host, at.port, patience=patience))
-        _make_ready(stage, gripper, box, description)  # before anybody would have to read pictures meanwhile
+        # Before anybody would have to read pictures meanwhile.
+        _make_ready(stage, gripper, box, description, held.beside_mm)
         left, right = open_cameras(description, stack)
         described = description.depth_camera
         depth_camera: AnyDepthCamera | None = open_depth_camera(described, patience=patience) if described else None
@@ -325,10 +331,11 @@ def open_station(description: StationDescription) -> Iterator[OpenStation]:
             eyes=eyes,
             depth_camera=depth_camera,
             overview=overview,
+            held=held,
         )
 
 
-def _free(stage: LinearStage, description: StationDescription, procedure: Procedure) -> None:
+def _free(stage: LinearStage, description: StationDescription, procedure: Procedure, beside_mm: Beside) -> None:
     """Take away what the gripper holds, where nobody is asked: pressed onto something it may pass a limit.
 
     The guard would then stop the station each time it is opened, and the trial of a killed agent would never be played.
@@ -339,14 +346,17 @@ def _free(stage: LinearStage, description: StationDescription, procedure: Proced
         return
     way = [pose._replace(z_mm=procedure.safe_z_mm)]
     if procedure.task is StationTask.LOCK:
-        way = [pose._replace(z_mm=hole.z_mm), Pose(garage.x_mm, garage.y_mm, hole.z_mm, pose.rotation_deg)]
+        x_mm, z_mm = garage.x_mm + beside_mm[0], hole.z_mm + beside_mm[1]
+        way = [pose._replace(z_mm=z_mm), Pose(x_mm, garage.y_mm, z_mm, pose.rotation_deg)]
     for target in way:
         stage.start_move(target, feed=60 * description.limits.speed_mm_s)
         while stage.status().is_moving:
             sleep(_LOOK_S)
 
 
-def _make_ready(stage: LinearStage, gripper: HandE, box: ForceTorqueSensor, description: StationDescription) -> None:
+def _make_ready(
+    stage: LinearStage, gripper: HandE, box: ForceTorqueSensor, description: StationDescription, beside_mm: Beside
+) -> None:
     state = stage.status().state
     if state is GrblState.ALARM:
         stage.home()
@@ -355,7 +365,7 @@ def _make_ready(stage: LinearStage, gripper: HandE, box: ForceTorqueSensor, desc
     gripper.activate()
     procedure = description.procedure
     if procedure is not None and gripper.status().position > procedure.open_position:
-        _free(stage, description, procedure)
+        _free(stage, description, procedure, beside_mm)
     elif procedure is not None:
         box.stop()
         box.zero()

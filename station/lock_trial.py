@@ -6,10 +6,11 @@ from typing import ClassVar, Final
 import numpy as np
 from vitac.evaluator.episodes.episode import PlayingPolicy
 
-from .arm import Beside, Offset
+from .arm import Offset
 from .devices.stage import Pose
 from .eyes import SensorReading
 from .guard import KEY_PULL_MM, KEY_X_RANGE_MM, KEY_Z_RANGE_MM, LARGEST_BESIDE_MM
+from .held_part import Beside
 from .outcome import TrialOutcome
 from .trial import StationTrial
 
@@ -88,5 +89,5 @@ class LockTrial(StationTrial):
 
     def _gripper_pose(self, x_mm: float, z_mm: float) -> Pose:
         """Return where the gripper holds a key that is so far out of its deepest place, and above it."""
-        beside_x_mm, beside_z_mm = self._beside_mm
+        beside_x_mm, beside_z_mm = self._station.held.beside_mm
         return self._arm.place((x_mm + beside_x_mm, self._start[1], 0.0), self._arm.height_mm(z_mm + beside_z_mm))

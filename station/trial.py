@@ -22,6 +22,7 @@ from .arm import Arm, NoPeg, Offset
 from .devices.stage import DeviceFault, Pose
 from .eyes import OpenStation, SensorReading
 from .guard import LARGEST_RADIUS_MM, LARGEST_THETA_DEG, LimitPassed, StationStopped, StopCause
+from .held_part import NotRemembered
 from .operators import Operator, OperatorDecision
 from .outcome import TrialOutcome
 from .perception.observation import NoMarkerFollowed, marker_flow, mean_by_region
@@ -440,6 +441,7 @@ _OUTCOMES: Final = {
     NotBlocked: TrialOutcome.NOT_BLOCKED,
     NoPeg: TrialOutcome.NO_PEG,
     PreflightRefused: TrialOutcome.REFUSED,
+    NotRemembered: TrialOutcome.REFUSED,
     NothingAtPrompt: TrialOutcome.REFUSED,
     SamMissing: TrialOutcome.REFUSED,
     DeviceFault: TrialOutcome.DEVICE_FAULT,

@@ -18,10 +18,11 @@ from vitac.evaluator.episodes.episode import OpenSession, PlayingPolicy
 from vitac.evaluator.episodes.reading import Reading
 from vitac.evaluator.tracks import Episode, Task
 
-from .arm import Beside, Offset
+from .arm import Offset
 from .description import StationDescription, StationTask
 from .devices.stage import DeviceFault, DeviceNotFound
 from .eyes import OpenStation, SensorReading, open_station
+from .held_part import HeldPart
 from .lock_trial import LockTrial
 from .operators import Operator
 from .outcome import ATTEMPTS, TrialOutcome
@@ -114,6 +115,7 @@ class TrialPlayer:
         attempts: at a trial.
         show: called with episode, attempt, a word and what is seen.
         share: called with the trial's code and each picture of its video (JPEG).
+        held: where the gripper has closed on its part.
     """
 
     description: StationDescription
@@ -122,10 +124,10 @@ class TrialPlayer:
     attempts: int = ATTEMPTS
     show: Show = lambda _episode, _attempt, _word, _sight: None
     share: Callable[[str, bytes], None] = lambda _code, _jpeg: None
+    held: HeldPart = field(default_factory=HeldPart)
     _opened: ExitStack = field(default_factory=ExitStack)
     _station: OpenStation | None = None
     _stopped_for: str | None = None
-    _held_beside_mm: Beside = (0.0, 0.0)
 
     def __enter__(self) -> Self:
         return self
@@ -237,13 +239,10 @@ class TrialPlayer:
 
     def _open(self) -> OpenStation:
         if self._station is None:
-            self._station = self._opened.enter_context(open_station(self.description))
-            self._station.held_beside_mm = self._held_beside_mm
+            self._station = self._opened.enter_context(open_station(self.description, self.held))
         return self._station
 
     def _close(self) -> None:
-        if self._station is not None:
-            self._held_beside_mm = self._station.held_beside_mm
         self._station = None
         self._opened.close()
         self._opened = ExitStack()

@@ -54,7 +54,7 @@ class Stage:
     ("task", "way"),
     [
         (StationTask.PEG, [(3.0, 1.0, -20.0, 2.0)]),
-        (StationTask.LOCK, [(3.0, 1.0, -40.0, 2.0), (75.0, 0.0, -40.0, 2.0)]),
+        (StationTask.LOCK, [(3.0, 1.0, -41.0, 2.0), (76.5, 0.0, -41.0, 2.0)]),
     ],
 )
 def test_what_a_killed_agent_left_pressed_onto_something_is_taken_away(
@@ -64,10 +64,10 @@ def test_what_a_killed_agent_left_pressed_onto_something_is_taken_away(
     procedure = Procedure(task=task, shape="any", hole=hole, garage=garage, safe_z_mm=-20, release=Release.AUTOMATIC)
     stage: Any = Stage(Pose(3.0, 1.0, -36.0, 2.0))
     description: Any = SimpleNamespace(limits=SimpleNamespace(speed_mm_s=3.0))
-    _free(stage, description, procedure)
+    _free(stage, description, procedure, (1.5, -1.0))
     assert stage.way[1:] == way
     waits = procedure.model_copy(update={"release": Release.OPERATOR})
-    _free(stage, description, waits)
+    _free(stage, description, waits, (1.5, -1.0))
     assert len(stage.way) == len(way) + 1
 
 

@@ -21,6 +21,7 @@ from vitac.station.agent import StationShard, StationShards, TrialNotPlayed, mak
 from vitac.station.description import Procedure, StationDescription, StationTask, TwinClass, TwinMark
 from vitac.station.devices.stage import DeviceNotFound, Pose
 from vitac.station.eyes import NoProcedure
+from vitac.station.held_part import HeldPart
 from vitac.station.operators import Operator
 from vitac.station.outcome import ATTEMPTS, TrialOutcome
 from vitac.station.rehearsal import RehearsalReport, StationRefused, TrialRecord, find_station_task, rehearse
@@ -47,17 +48,17 @@ class Laboratory:
         self.eyes = SimpleNamespace(rests=False)
 
     @contextmanager
-    def open_station(self, _: object) -> Iterator[Any]:
+    def open_station(self, _: object, held: HeldPart) -> Iterator[Any]:
         self.opened += 1
         if self.outcomes[0] is None:
             self.outcomes.pop(0)
             raise DeviceNotFound("No stage.")
-        yield SimpleNamespace(guard=SimpleNamespace(reason=None), eyes=self.eyes, held_beside_mm=(0.0, 0.0))
+        yield SimpleNamespace(guard=SimpleNamespace(reason=None), eyes=self.eyes, held=held)
 
     def trial(self, station: Any, **_: object) -> Any:
         assert not self.eyes.rests
-        self.held_beside_mm.append(station.held_beside_mm)
-        station.held_beside_mm = (1.5, -1.0)
+        self.held_beside_mm.append(station.held.beside_mm)
+        station.held.remember((1.5, -1.0))
         outcome = self.outcomes.pop(0)
         assert outcome is not None
         attempt = Attempt(start=EPISODE.offset, outcome=outcome, reason=str(outcome), stopped_by_force=self.by_force)
