@@ -61,10 +61,12 @@ class Arm:
         while True:
             sight, status = self._station.eyes.see(), self._station.stage.status()
             self._guard.check_released()
+            self._guard.check_motion()
             if is_reached(sight, status.pose):
                 self._guard.end_motion()
                 return sight
             if not status.is_moving:
+                self._guard.wait()
                 return None
 
     def lift(self, z_mm: float) -> None:

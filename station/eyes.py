@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from queue import SimpleQueue
 from threading import Condition, Thread
-from time import sleep, time_ns
+from time import monotonic, sleep, time_ns
 from typing import Final, NamedTuple, Self
 
 from vitac.errors import VitacError
@@ -31,6 +31,9 @@ _PICTURE_S: Final = 10.0
 
 _LOOK_S: Final = 0.02
 """Time between two looks whether the stage moves."""
+
+_FREE_S: Final = 60.0
+"""Longest way out of a hole or a lock, in real time; twins have patience."""
 
 _REST_S: Final = 0.2
 """Time between two pairs of pictures while nothing is to move."""
@@ -317,7 +320,14 @@ def open_station(description: StationDescription, held: HeldPart | None = None) 
         depth_camera: AnyDepthCamera | None = open_depth_camera(described, patience=patience) if described else None
         if depth_camera is not None:
             stack.enter_context(depth_camera)
-        guard = stack.enter_context(Guard(limits=description.limits, stage=stage, gripper=gripper, force_torque=box))
+        guard = Guard(
+            limits=description.limits,
+            stage=stage,
+            gripper=gripper,
+            force_torque=box,
+            picture_s=procedure.picture_s,
+        )
+        stack.enter_context(guard)
         eyes = stack.enter_context(Eyes(left=left, right=right, guard=guard))
         overview = Overview(description.overview, guard, patience) if description.overview else None
         if overview is not None:
@@ -350,7 +360,10 @@ def _free(stage: LinearStage, description: StationDescription, procedure: Proced
         way = [pose._replace(z_mm=z_mm), Pose(x_mm, garage.y_mm, z_mm, pose.rotation_deg)]
     for target in way:
         stage.start_move(target, feed=60 * description.limits.speed_mm_s)
+        end_s = monotonic() + description.patience * _FREE_S
         while stage.status().is_moving:
+            if monotonic() > end_s:
+                raise DeviceFault("The stage takes too long to come out. Look what holds it.")
             sleep(_LOOK_S)
 
 

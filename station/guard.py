@@ -103,6 +103,9 @@ def check_grip(limits: StationLimits, position: int, speed: int, force: int) -> 
             raise LimitPassed(f"Gripper {name} {value}: expected {lowest} to {highest}. Not moved.")
 
 
+_LATE_FACTOR: Final = 3.0
+_LATE_S: Final = 10.0
+"""A motion that takes as many times as long as its way at its speed, and this much more, does not end by itself."""
 _MEAN_OF: Final = 100
 """Frames of the force/torque sensor whose mean is taken for its present reading."""
 _ARRIVAL_S: Final = 5.0
@@ -138,6 +141,8 @@ class Guard:
         gripper: activated.
         force_torque: its stream has started.
         clock: the time that heartbeats are counted by.
+        picture_s: the station's time that passes with each heartbeat, which a twin may need longer for; motions are
+            bounded by it.
         stopped_by: what stopped it the last time.
         forces_n: sizes of the last forces; whoever wants those of a time clears it at its start.
     """
@@ -147,10 +152,13 @@ class Guard:
     gripper: HandE
     force_torque: ForceTorqueSensor
     clock: Callable[[], float] = monotonic
+    picture_s: float = 0.04
     stopped_by: StopCause | None = None
     forces_n: deque[float] = field(default_factory=lambda: deque(maxlen=_FORCES))
     _reason: str | None = None
     _heard_s: float = 0.0
+    _time_s: float = 0.0
+    _late_s: float = math.inf
     _over: Event = field(default_factory=Event)
     _zeroes: Event = field(default_factory=Event)
     _stopping: Lock = field(default_factory=Lock)
@@ -208,6 +216,7 @@ class Guard:
     def beat(self) -> None:
         """Say that whoever commands the station is alive."""
         self._heard_s = self.clock()
+        self._time_s += self.picture_s
 
     def move(self, target: Pose, *, speed_mm_s: float, rotation_deg_s: float) -> None:
         """Start a straight motion; return while the stage moves.
@@ -224,8 +233,10 @@ class Guard:
         if status.state is not GrblState.IDLE:
             raise DeviceFault(f"Expected a stage at rest, got {status.state}. Wait for it, or home it after an alarm.")
         check_target(self.limits, status.pose)
+        feed = feed_of(status.pose, target, speed_mm_s, rotation_deg_s)
+        self._bound_motion(60 * math.dist(status.pose, target) / feed)
         try:
-            self.stage.start_move(target, feed=feed_of(status.pose, target, speed_mm_s, rotation_deg_s))
+            self.stage.start_move(target, feed=feed)
         except DeviceFault as error:
             self.stop(str(error), cause=StopCause.FAULT)
             raise
@@ -234,9 +245,15 @@ class Guard:
             self.check_released()
 
     def wait(self) -> StageStatus:
-        """Return when the motion has ended; raise StationStopped if it was stopped, DeviceFault in alarm."""
+        """Return when the motion has ended.
+
+        Raises:
+            StationStopped: it was stopped.
+            DeviceFault: the stage is in alarm, or does not arrive in time.
+        """
         while True:
             self.check_released()
+            self.check_motion()
             status = self.stage.status()
             if status.state is GrblState.ALARM:
                 self.stop("The stage is in alarm.", cause=StopCause.FAULT)
@@ -250,8 +267,7 @@ class Guard:
         """End the motion where the stage is, as a procedure does that has found what it looked for."""
         self.check_released()
         self.stage.hold()
-        while self.stage.status().is_moving:
-            self._over.wait(CONTROL_PERIOD_S / 4)
+        self._await_rest()
         with self._stopping:
             if self._reason is None:
                 self.stage.forget_motion()
@@ -287,9 +303,12 @@ class Guard:
                     self._reason = f"{reason} The stage could not be held: {error}"
 
     def release(self) -> None:
-        """Discard what is left of the motion and allow commands again, as an operator decides."""
-        while self.stage.status().is_moving:
-            self._over.wait(CONTROL_PERIOD_S / 4)
+        """Discard what is left of the motion and allow commands again, as an operator decides.
+
+        Raises:
+            DeviceFault: the stage does not come to rest.
+        """
+        self._await_rest()
         with self._stopping:  # who stops it meanwhile stops it again afterwards
             self.stage.forget_motion()
             self.beat()
@@ -299,6 +318,25 @@ class Guard:
         """Raise StationStopped while the station is stopped."""
         if self._reason is not None:
             raise StationStopped(f"The station is stopped: {self._reason} Make it safe, then release it.")
+
+    def check_motion(self) -> None:
+        """Stop a stage that should long be where it was sent, and raise DeviceFault."""
+        if self._time_s > self._late_s:
+            reason = (
+                f"The stage should have been at rest {_LATE_S:g} s ago. Look what holds it, such as a button or a door "
+                "of its controller."
+            )
+            self.stop(reason, cause=StopCause.FAULT)
+            raise DeviceFault(reason)
+
+    def _bound_motion(self, expected_s: float) -> None:
+        self._late_s = self._time_s + _LATE_FACTOR * expected_s + _LATE_S
+
+    def _await_rest(self) -> None:
+        self._bound_motion(0.0)
+        while self.stage.status().is_moving:
+            self.check_motion()
+            self._over.wait(CONTROL_PERIOD_S / 4)
 
     def _zero(self) -> None:
         try:

@@ -88,7 +88,7 @@ class Operator:
     def end(self) -> tuple[HumanHelp, ...]:
         """End the trial; return how people helped in it and since the one before."""
         with self._changed:
-            self.phase = "The trial is over."
+            self.phase, self.about = "The trial is over.", {}
             helps = [
                 HumanHelp(kind=kind, at_s=round(at_s - self._began, 1), length_s=round(length_s, 1), note=note)
                 for kind, at_s, length_s, note in self._help

@@ -28,6 +28,7 @@ from ..service.web_server import bind_or_any
 from .display import INDENT, DemoDisplay, team_token
 
 if TYPE_CHECKING:
+    from vitac.station.twin.grasp import Mounted
     from vitac.station.twin.hidden import FaultScript, HiddenSettings
     from vitac.station.twin.laboratory import RunningTwin
 
@@ -83,14 +84,15 @@ def stop_agent(process: "subprocess.Popen[bytes]") -> None:
         process.wait()
 
 
-def use_station_track(folder: Path, *, starts: int | None, repeats: int) -> None:
+def use_station_track(folder: Path, *, starts: int | None, repeats: int, mounted: "Mounted | None" = None) -> None:
     """Write the track of stations and name its folder in this process's environment; do so before tracks are read."""
-    from vitac.envs.geometry.pegs import PegShape
     from vitac.evaluator.tracks.registry import TRACKS_FOLDER_VARIABLE
     from vitac.station.description import make_station_track
+    from vitac.station.twin.grasp import CUBOID_PEG
 
     folder.mkdir(parents=True, exist_ok=True)
-    content = make_station_track(PegShape.CUBOID, repeats, starts=starts)
+    task, shape = mounted or CUBOID_PEG
+    content = make_station_track(shape, repeats, starts=starts, task=task) | {"name": TRACK}
     (folder / f"{TRACK}.yaml").write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
     os.environ[TRACKS_FOLDER_VARIABLE] = str(folder)
 

@@ -48,6 +48,7 @@ function show() {
   at("phase").textContent = state.stopped ?? state.reason ?? (state.paused_s === null ? state.phase : `Paused for ${Math.round(state.paused_s)} s.`);
   at("pause").textContent = state.paused_s === null ? "Pause" : "Go on";
   at("stop").disabled = state.stopped !== null;
+  at("next").hidden = Object.keys(state.about).length === 0;
   fill(at("about"), Object.entries(state.about).filter(([, value]) => value !== null), ([name, value]) => {
     const [term, meaning] = [document.createElement("dt"), document.createElement("dd")];
     [term.textContent, meaning.textContent] = [name, value];

@@ -19,7 +19,7 @@ from .stage import DeviceFault, DeviceNotFound, Identity
 WIDTH, HEIGHT, RATE_HZ = 640, 480, 30
 _ANSWER_MS: Final = 2000
 _STREAM_MS: Final = 8000
-"""Longest wait for a picture of a stream; with patience it may be longer."""
+"""Longest wait for a picture of a stream; `patience` is a factor of it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,7 +215,7 @@ class UsbCamera:
             DeviceNotFound: no such camera, or it cannot be opened.
         """
         self._name = name
-        self._capture = _open(stream or find_camera(serial_number, cameras), self._name, round(_ANSWER_MS * patience))
+        self._capture = _open(stream or find_camera(serial_number, cameras), self._name, patience)
         self._last: Picture | None = None
         self._equal = 0
 
@@ -288,10 +288,11 @@ def _short_buffer() -> Iterator[None]:
             os.environ[_STREAM_OPTIONS] = before
 
 
-def _open(address: str, name: str, answer_ms: int) -> Any:
+def _open(address: str, name: str, patience: float) -> Any:
     import cv2
 
-    options = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, answer_ms, cv2.CAP_PROP_READ_TIMEOUT_MSEC, max(_STREAM_MS, answer_ms)]
+    answer_ms = round(_ANSWER_MS * patience)
+    options = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, answer_ms, cv2.CAP_PROP_READ_TIMEOUT_MSEC, round(_STREAM_MS * patience)]
     if address.startswith("/dev/"):
         capture = cv2.VideoCapture(address, cv2.CAP_V4L2)
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # the newest picture rather than an old one

@@ -169,12 +169,21 @@ class Bench:
         return self.now_s
 
     def take(self, side: int) -> Picture:
-        """Return the next picture of a camera, as soon as there is one."""
+        """Return the next picture of a camera, as soon as there is one; none twice, however long the physics takes.
+
+        Stations count time by pictures: of old ones they would take what was before for what came of a motion.
+        """
         with self._changed:
-            self._changed.wait_for(lambda: self._taken[side] < self._number or self._over.is_set(), _READER_S)
+            self._changed.wait_for(lambda: self._taken[side] < self._number or self._over.is_set())
             self._taken[side] = self._number
             self._changed.notify_all()
             return self._seen[side][0]
+
+    def part_at(self) -> Axes | None:
+        """Return where the gripper would hold the part that it holds, or that is in its garage; None where it fell."""
+        if self.held is not None:
+            return self.stage.axes()
+        return self.mounted.garage if self._is_in_garage else None
 
     def look(self) -> Sight | None:
         """Return what the RGB-D camera sees: the peg in the gripper, or else in its garage; None without a camera."""

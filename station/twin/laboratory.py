@@ -102,7 +102,7 @@ _PLAYING_LIMITS: Final[dict[str, Any]] = {
     "force_n": 60,
     "torque_nm": 12,
     "reading_s": 30.0,
-    "heartbeat_s": 30.0,
+    "heartbeat_s": 90.0,
 }
 """The torque is that of the largest force at the lower end of the peg, 0.19 m below the sensor."""
 _PATIENCE: Final = 10.0
@@ -176,7 +176,7 @@ def playing_station(bench: Bench) -> Iterator[TwinStation]:
 
 def _add_overview(station: TwinStation, bench: Bench, stack: ExitStack) -> None:
     code = Path(stack.enter_context(TemporaryDirectory(prefix="vitac-twin-"))) / "code.png"
-    view = OverviewTwin(bench.stage, lambda: bench.held is not None, bench.mounted, code)
+    view = OverviewTwin(bench.stage, bench.part_at, bench.mounted, code)
     camera = stack.enter_context(CameraTwin(picture=view, period_s=_OVERVIEW_PERIOD_S))
     station.description["overview"] = {
         "serial_number": "OVERVIEW-1",

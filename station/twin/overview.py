@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from ..description import StationTask
-from .grasp import HOLE, Mounted
+from .grasp import HOLE, Axes, Mounted
 from .pictures import Picture
 from .stage import StageTwin
 
@@ -34,12 +34,14 @@ _KEY: Final = ((-270, -20, -30, 20), (-30, -40, 30, 40))
 class OverviewTwin:
     """Draws the platform as its stage stands."""
 
-    def __init__(self, stage: StageTwin, is_held: Callable[[], bool], mounted: Mounted, code_picture: Path) -> None:
-        """Look at a stage and at the picture with the code; `is_held` says whether the gripper holds anything."""
-        self._stage, self._is_held, self._code_picture = stage, is_held, code_picture
+    def __init__(
+        self, stage: StageTwin, find_part: Callable[[], Axes | None], mounted: Mounted, code_picture: Path
+    ) -> None:
+        """Look at a stage and at the picture with the code; `find_part` says where peg or key is."""
+        self._stage, self._find_part, self._code_picture = stage, find_part, code_picture
         is_lock = mounted.task is StationTask.LOCK
         self._fixed: Sequence[Rectangle] = _LOCK if is_lock else _PLATE
-        self._held: Sequence[Rectangle] = _KEY if is_lock else _PEG
+        self._part: Sequence[Rectangle] = _KEY if is_lock else _PEG
         self._generator = np.random.default_rng(0)
 
     def __call__(self) -> Picture:
@@ -47,13 +49,11 @@ class OverviewTwin:
         import cv2
 
         picture = np.full((_HEIGHT, _WIDTH, 3), _GROUND, np.uint8)
-        x_mm, _, z_mm, _ = self._stage.axes()
-        x, y = round(_MIDDLE_X + _PX_PER_MM * x_mm), round(_RIM - _GRIP - _PX_PER_MM * (z_mm - HOLE[2]))
         _draw(picture, self._fixed, (0, 0), _PART)
-        if self._is_held():
-            _draw(picture, self._held, (x, y), _HELD)
+        if (part_at := self._find_part()) is not None:
+            _draw(picture, self._part, _find_pixel(part_at), _HELD)
         arm = ((-24, -40, -9, 35), (9, -40, 24, 35), (-40, -110, 40, -40))
-        _draw(picture, arm, (x, y), _ARM)
+        _draw(picture, arm, _find_pixel(self._stage.axes()), _ARM)
         self._show_code(picture)
         noise = self._generator.integers(0, _NOISE, picture.shape, dtype=np.uint8)
         return np.asarray(cv2.add(picture, noise), dtype=np.uint8)
@@ -66,6 +66,12 @@ class OverviewTwin:
             left, upper, size = _SCREEN
             shown = cv2.resize(code, (size, size), interpolation=cv2.INTER_AREA)
             picture[upper : upper + size, left : left + size] = shown
+
+
+def _find_pixel(at: Axes) -> tuple[int, int]:
+    """Return where the gripper is seen that stands at a pose of the stage."""
+    x_mm, _, z_mm, _ = at
+    return round(_MIDDLE_X + _PX_PER_MM * x_mm), round(_RIM - _GRIP - _PX_PER_MM * (z_mm - HOLE[2]))
 
 
 def _draw(picture: Picture, rectangles: Sequence[Rectangle], at: tuple[int, int], colour: tuple[int, int, int]) -> None:

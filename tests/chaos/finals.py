@@ -1,6 +1,6 @@
-"""Plays a final of three teams and a control policy on two twins, unattended, while everything is killed in turn.
+"""Plays a final of some teams and a control policy on two twins, unattended, while everything is killed in turn.
 
-    .venv/bin/python tests/chaos/finals.py [--starts 10] [--repeats 1] [--minutes 30] [--pause 30]
+    .venv/bin/python tests/chaos/finals.py [--shape key1] [--starts 10] [--repeats 1] [--minutes 30] [--pause 30]
 
 Each twin breaks in every scripted way once; agents, worker, server and PostgreSQL are killed with -9 until all trials
 are over. Exit code 0: no trial was lost or doubled, each was played at its place, and its video agrees with its record.
@@ -33,8 +33,11 @@ from disturbed_service import VITAC, DisturbedService, send
 from run import leave, wait_until_ready
 from vitac.cli.client.submit import packed
 from vitac.cli.demo.laboratory import TRACK, made_for_station, use_station_track
+from vitac.envs.geometry.keys_and_locks import KeyShape
+from vitac.envs.geometry.pegs import PegShape
 from vitac.evaluator.episodes.records import EpisodeRecord
-from vitac.station.description import TwinClass
+from vitac.station.description import StationTask, TwinClass
+from vitac.station.twin.grasp import CUBOID_PEG, Mounted
 from vitac.station.twin.hidden import FaultScript, ScriptedFault, TwinFault, TwinSecret, make_twin
 from vitac.station.twin.laboratory import RunningTwin, twin_process
 from vitac.station.verification import verify_video
@@ -42,7 +45,7 @@ from vitac.station.verification import verify_video
 REPOSITORY = Path(__file__).resolve().parents[2]
 STATIONS = ("east", "west")
 TEAMS, CONTROL = ("Ants", "Bees", "Cats"), "Controls"
-EXAMPLE = REPOSITORY / "examples" / "peg_insertion_trained"
+EXAMPLES = {StationTask.PEG: "peg_insertion_trained", StationTask.LOCK: "lock_opening_trained"}
 OPEN_S, FIRST_CONTACT = 60.0, 2
 CALM_FROM = 0.9
 """Nothing is killed once this part of the trials is over, and everything was killed."""
@@ -54,7 +57,9 @@ RECORDS = "SELECT submission_digest, task, episode, record FROM episode_results"
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--starts", type=int, default=10, help="how many of the 30 starts all play")
+    parser.add_argument("--shape", default=CUBOID_PEG.shape, choices=(*PegShape, *KeyShape), help="of the peg or key")
+    parser.add_argument("--teams", type=int, default=3, choices=(1, 2, 3), help="how many teams play")
+    parser.add_argument("--starts", type=int, default=10, help="how many starts all play, of 30 of a peg, 20 of a key")
     parser.add_argument("--repeats", type=int, default=1, help="how often each start is played by each")
     parser.add_argument("--minutes", type=float, default=30.0, help="how long it may take")
     parser.add_argument("--pause", type=float, default=30.0, help="seconds between two kills, a third more or less")
@@ -66,7 +71,8 @@ def main() -> int:
     folder = Path(tempfile.mkdtemp(prefix="vitac-finals-"))
     folder.chmod(0o711)
     (folder / "state").mkdir(mode=0o711)
-    use_station_track(folder / "tracks", starts=options.starts, repeats=options.repeats)
+    options.mounted = Mounted(StationTask.LOCK if options.shape in set(KeyShape) else StationTask.PEG, options.shape)
+    use_station_track(folder / "tracks", starts=options.starts, repeats=options.repeats, mounted=options.mounted)
     service = DisturbedService(folder=folder, workers=1, tracks=folder / "tracks")
     problems = ["the run was interrupted"]
     service.start()
@@ -81,11 +87,11 @@ def main() -> int:
 def play(service: DisturbedService, options: argparse.Namespace) -> Iterator[str]:
     """Run the final and yield what was found."""
     wait_until_ready(service)
-    teams = TEAMS if options.no_control else (*TEAMS, CONTROL)
+    teams = TEAMS[: options.teams] if options.no_control else (*TEAMS[: options.teams], CONTROL)
     tokens = register(service, teams)
     closes = begin_stage(service, teams)
     for name, token in tokens.items():
-        submit(service, name, token)
+        submit(service, EXAMPLES[options.mounted.task], name, token)
     with ExitStack() as stack:
         twins = [stack.enter_context(start_twin(name, options)) for name in STATIONS]
         for name, twin in zip(STATIONS, twins, strict=True):
@@ -144,11 +150,11 @@ def begin_stage(service: DisturbedService, teams: Sequence[str]) -> datetime:
     return closes
 
 
-def submit(service: DisturbedService, name: str, token: str) -> None:
-    """Submit the example with a comment: each team's content is its own."""
+def submit(service: DisturbedService, example: str, name: str, token: str) -> None:
+    """Submit an example with a comment: each team's content is its own."""
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "Track_1"
-        shutil.copytree(EXAMPLE / "Track_1", copy)
+        shutil.copytree(REPOSITORY / "examples" / example / "Track_1", copy)
         (copy / "team.txt").write_text(name)
         with made_for_station(copy.parent) as made, packed(made) as archive:
             headers = {"Authorization": f"Bearer {token}", "Content-Type": "application/zip"}
@@ -167,7 +173,7 @@ def begin_trials(service: DisturbedService, closes: datetime) -> list[dict[str, 
 
 def start_twin(name: str, options: argparse.Namespace) -> AbstractContextManager[RunningTwin]:
     twin = make_twin(TwinSecret(secret=f"{options.seed} {name}", twin=options.twin, without=tuple(options.without)))
-    return twin_process(twin.hidden, script=make_script(), mark=twin.mark)
+    return twin_process(twin.hidden, mounted=options.mounted, script=make_script(), mark=twin.mark)
 
 
 def make_script() -> FaultScript:

@@ -63,7 +63,7 @@ def test_what_a_killed_agent_left_pressed_onto_something_is_taken_away(
     hole, garage = StagePose(x_mm=0, y_mm=0, z_mm=-40), StagePose(x_mm=75, y_mm=0, z_mm=-40)
     procedure = Procedure(task=task, shape="any", hole=hole, garage=garage, safe_z_mm=-20, release=Release.AUTOMATIC)
     stage: Any = Stage(Pose(3.0, 1.0, -36.0, 2.0))
-    description: Any = SimpleNamespace(limits=SimpleNamespace(speed_mm_s=3.0))
+    description: Any = SimpleNamespace(limits=SimpleNamespace(speed_mm_s=3.0), patience=1.0)
     _free(stage, description, procedure, (1.5, -1.0))
     assert stage.way[1:] == way
     waits = procedure.model_copy(update={"release": Release.OPERATOR})

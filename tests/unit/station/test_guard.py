@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from math import ceil
 
 import numpy as np
 import pytest
@@ -74,6 +75,23 @@ def test_moves_within_the_limits(guard: Guard) -> None:
     target = Pose(0.02, -0.01, 0.01, 0.03)
     guard.move(target, **SLOW)
     assert guard.wait().pose == target
+
+
+@pytest.mark.parametrize("state", ["Hold:0", "Door:1"])
+def test_motion_that_never_ends_is_a_fault_after_its_time(
+    guard: Guard, twins: TwinStation, monkeypatch: pytest.MonkeyPatch, state: str
+) -> None:
+    """As when somebody presses a button of the stage's controller: it neither arrives nor reports an alarm."""
+    guard.move(TARGET, **SLOW)
+    monkeypatch.setattr(twins.stage, "_report", lambda: f"<{state}|MPos:1.000,0.000,0.000,0.000|FS:0,0>\r\n")
+    for _ in range(ceil((3 * TARGET.x_mm / 3.0 + 10.0) / guard.picture_s)):
+        guard.check_motion()
+        guard.beat()
+    guard.beat()
+    with pytest.raises(DeviceFault, match=r"should have been at rest 10 s ago\. Look what holds it"):
+        guard.wait()
+    with pytest.raises(StationStopped, match="Look what holds it"):
+        guard.wait()
 
 
 @pytest.mark.parametrize(

@@ -77,11 +77,13 @@ def test_stop_ends_a_trial_that_waits_and_nothing_moves_before_it_is_released() 
         operator.stop("Twice.")
     operator.decide(number(operator), OperatorDecision.ACCEPT, "Took the cable away.")
     safe.result(5)
-    operator.begin({})
+    operator.begin({"shape": "key1"})
+    assert operator.describe()["about"] == {"shape": "key1"}
     assert [(each.kind, each.at_s < 0.1, each.note) for each in operator.end()] == [
         (HelpKind.PAUSE, True, ""),
         (HelpKind.RELEASE, True, "Took the cable away."),
     ]
+    assert operator.describe()["about"] == {}, "nothing is about to happen"
     operator.wait_while_paused("It goes on.")
 
 

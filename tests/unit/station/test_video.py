@@ -185,7 +185,7 @@ def test_full_disk_stops_the_station_in_a_sentence_and_leaves_no_video(
 def test_code_is_read_that_a_detector_of_opencv_never_finds(tmp_path: Path, code: str) -> None:
     write_code(code, tmp_path / "code.png")
     stage: Any = SimpleNamespace(axes=lambda: (0.0, 0.0, -40.0, 0.0))
-    picture = OverviewTwin(stage, lambda: True, Mounted(), tmp_path / "code.png")()
+    picture = OverviewTwin(stage, stage.axes, Mounted(), tmp_path / "code.png")()
     assert not cv2.QRCodeDetector().detectAndDecode(picture)[0]
     assert read_code(picture) == code
 

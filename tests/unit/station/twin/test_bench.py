@@ -1,6 +1,7 @@
 """The world of a twin, advanced by hand: what its devices are told moves gels, peg and markers."""
 
 import struct
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -123,6 +124,30 @@ def test_plate_is_felt_beside_the_hole_and_not_over_it_and_a_script_breaks_what_
     assert bench.held is not None
     corners_m = bench.held.scene.held_vertices_m(np.arange(len(bench.held.scene.held_surface.vertices_m)))
     assert PLATE_THICKNESS_MM - 1e3 * corners_m[:, 2].min() == pytest.approx(1.0, abs=0.2)
+
+
+def test_camera_sends_no_picture_twice_however_long_the_physics_takes(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("vitac.station.twin.bench._READER_S", 0.01)
+    bench.cameras[0].streams = 1
+    bench.advance()
+    first = bench.take(0)
+    with ThreadPoolExecutor(1) as pool:
+        second = pool.submit(bench.take, 0)
+        with pytest.raises(TimeoutError):
+            second.result(0.3)
+        bench.advance()
+        assert not np.array_equal(second.result(), first)
+
+
+def test_part_is_seen_where_it_is(bench: Bench) -> None:
+    assert bench.part_at() == CUBOID_PEG.garage
+    fetch(bench)
+    go(bench, 0.0, 0.0, -20.0, 0.0)
+    assert bench.part_at() == (0.0, 0.0, -20.0, 0.0)
+    bench.begin(TwinFault.DROPPED_PEG, 0.1)
+    assert bench.part_at() is None
 
 
 def test_stuck_gripper_holds_on_to_its_peg(bench: Bench) -> None:
