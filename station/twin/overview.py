@@ -16,7 +16,8 @@ _GROUND, _PART, _ARM, _HELD = (58, 54, 50), (150, 140, 130), (90, 90, 96), (60, 
 _MIDDLE_X, _RIM = 280, 400
 _PX_PER_MM: Final = 4.0
 _SCREEN: Final = (440, 20, 190)
-"""Left edge, upper edge and size of the screen [px]."""
+"""Left edge, upper edge and size of the screen [px]; before a lock it would hide the gripper in the garage."""
+_SCREEN_OF_LOCK: Final = (20, 20, 190)
 _NOISE: Final = 4
 _GRIP: Final = 80
 """Middle of the gels above the lower end of a peg, or the middle of a key [px]."""
@@ -42,6 +43,7 @@ class OverviewTwin:
         is_lock = mounted.task is StationTask.LOCK
         self._fixed: Sequence[Rectangle] = _LOCK if is_lock else _PLATE
         self._part: Sequence[Rectangle] = _KEY if is_lock else _PEG
+        self._screen = _SCREEN_OF_LOCK if is_lock else _SCREEN
         self._generator = np.random.default_rng(0)
 
     def __call__(self) -> Picture:
@@ -63,7 +65,7 @@ class OverviewTwin:
 
         code = cv2.imread(str(self._code_picture)) if self._code_picture.exists() else None
         if code is not None:
-            left, upper, size = _SCREEN
+            left, upper, size = self._screen
             shown = cv2.resize(code, (size, size), interpolation=cv2.INTER_AREA)
             picture[upper : upper + size, left : left + size] = shown
 
