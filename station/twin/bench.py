@@ -171,7 +171,7 @@ class Bench:
     def take(self, side: int) -> Picture:
         """Return the next picture of a camera, as soon as there is one; none twice, however long the physics takes.
 
-        Stations count time by pictures: of old ones they would take what was before for what came of a motion.
+        Stations count time by pictures: an old one would show them the gels as they were before a motion.
         """
         with self._changed:
             self._changed.wait_for(lambda: self._taken[side] < self._number or self._over.is_set())
