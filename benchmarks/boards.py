@@ -44,7 +44,7 @@ from vitac.server.principals import CONSOLE
 from vitac.server.services import Services, open_services
 from vitac.server.settings import load_settings
 from vitac.web import application
-from vitac.web.session.signer import COOKIE, SessionSigner, begin
+from vitac.web.session import COOKIE, SessionSigner, begin
 
 TRACK = "track_1"
 TARGET_P99_MS = 20.0

@@ -24,7 +24,7 @@ from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import Clocks, Stopwatch
 from vitac.envs.tactile.gel import GelCells, GelDimensions, structured_gel
 from vitac.envs.tasks.insertion.interface import PegOffset
-from vitac.envs.tasks.peg_insertion.scene import PegInsertionSettings, PegScene, PegStart
+from vitac.envs.tasks.peg_insertion.env import PegInsertionSettings, PegScene, PegStart
 
 PLAIN, THICK, DOMED = GelDimensions(), GelDimensions(thickness_mm=8.0), GelDimensions(dome_mm=0.5)
 GELS: dict[str, tuple[GelCells, GelDimensions]] = {

@@ -172,9 +172,7 @@ class PolicyHere:
 def evaluate_heuristic() -> str:
     """Return the result hash of the first episodes."""
     from vitac.evaluator.episodes.episode import make_environment, run_episode
-    from vitac.evaluator.episodes.provenance import make_manifest
-    from vitac.evaluator.episodes.reading import make_reading
-    from vitac.evaluator.episodes.records import result_hash
+    from vitac.evaluator.episodes.records import make_manifest, make_reading, result_hash
     from vitac.evaluator.submission.manifest import load_manifest
     from vitac.evaluator.submission.sources import staged
     from vitac.evaluator.tracks import find_task

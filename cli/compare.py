@@ -239,8 +239,7 @@ def read_evaluated(named: str) -> Evaluated:
     """Read a log, or the report that `vitac evaluate --json` writes."""
     from pydantic import ValidationError
     from vitac.evaluator.evaluation.local import EvaluationReport
-    from vitac.evaluator.logs.log import LogReader, is_log
-    from vitac.evaluator.logs.packing import open_log
+    from vitac.evaluator.logs.log import LogReader, is_log, open_log
 
     path = Path(named)
     if is_log(path):

@@ -60,7 +60,7 @@ def verify(
     cannot be verified: its numbers are checked, and claimed and re-simulated rate printed; exit code 0 if it is
     complete and its numbers agree with each other.
     """
-    from vitac.evaluator.logs.text_log_check import is_text_log_file
+    from vitac.evaluator.logs.resimulation import is_text_log_file
 
     if is_text_log_file(log):
         if episodes is not None:
@@ -113,8 +113,8 @@ def verify(
 
 def _check_text_log(log: Path, *, json: bool) -> None:
     """Print what a 2025 text log can be checked for, and where its actions lead here."""
+    from vitac.evaluator.logs.resimulation import CANNOT_BE_VERIFIED, TextLogCheck
     from vitac.evaluator.logs.text_2025 import WHY_RATES_DIFFER
-    from vitac.evaluator.logs.text_log_check import CANNOT_BE_VERIFIED, TextLogCheck
 
     from .terminal.compiling import compiling_shown
 
@@ -162,7 +162,7 @@ def import_(
     json: AsJson = False,
 ) -> None:
     """Read a 2025 text log, check it against itself and the published rules, and convert it."""
-    from vitac.evaluator.logs.packing import open_log
+    from vitac.evaluator.logs.log import open_log
     from vitac.evaluator.logs.text_2025 import read_text_log, summarize, to_json_lines
 
     with open_log(file) as stream:
@@ -193,7 +193,7 @@ def match(
     """Count how many of a log's actions a model gives; exit code 0 if all, 1 otherwise."""
     from vitac.evaluator.agent.limits import Limits
     from vitac.evaluator.episodes.episode import make_environment
-    from vitac.evaluator.episodes.reading import make_reading
+    from vitac.evaluator.episodes.records import make_reading
     from vitac.evaluator.logs.comparison import match_actions
     from vitac.evaluator.shards.policy import load_in_sandbox
     from vitac.evaluator.submission.manifest import load_manifest
@@ -236,8 +236,7 @@ def match(
 
 
 def _read(log: Path) -> tuple["LogHeader", list["EpisodeRecord"]]:
-    from vitac.evaluator.logs.log import LogReader
-    from vitac.evaluator.logs.packing import open_log
+    from vitac.evaluator.logs.log import LogReader, open_log
 
     with open_log(log) as stream:
         reader = LogReader(stream)

@@ -92,8 +92,8 @@ def mesh(
 
 def _mesh_with_ftetwild(sensor: Path, *, as_json: bool) -> None:
     from vitac.envs.untrusted_file import find_spelling
+    from vitac.evaluator.sensors.findings import sensor_limits
     from vitac.evaluator.sensors.ftetwild import mesh_with_ftetwild
-    from vitac.evaluator.sensors.limits import sensor_limits
     from vitac.evaluator.sensors.package import GEL_NAME
 
     made = mesh_with_ftetwild(find_spelling(sensor, GEL_NAME), sensor_limits())

@@ -12,7 +12,7 @@ import typer
 from vitac.errors import VitacError
 
 from .client.http import make_client
-from .receipt.published_log import open_log
+from .receipt import open_log
 
 if TYPE_CHECKING:
     from vitac.server.receipts.witness import Witness

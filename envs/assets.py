@@ -14,8 +14,7 @@ from vitac.errors import VitacError
 from .fem.model.mesh import GelMesh, SurfaceMesh
 from .geometry.stl import read_stl
 from .tactile.design import SensorDesign
-from .tactile.gel import arena_gel_mesh, coarse_arena_gel_mesh, coarse_gelsight_mini_mesh, gelsight_mini_mesh
-from .tactile.gel_files import read_gel
+from .tactile.gel import arena_gel_mesh, coarse_arena_gel_mesh, coarse_gelsight_mini_mesh, gelsight_mini_mesh, read_gel
 from .tactile.markers import MarkerSettings, MountedMarkerSettings
 from .tactile.sensor import CoarseSensor, DesignedSensor, TactileSensor
 

@@ -15,12 +15,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from vitac.evaluator.agent.protocol.frames import CloudSpec, add_clouds, checked_action
+from vitac.evaluator.agent.protocol import CloudSpec, add_clouds, checked_action
 from vitac.evaluator.agent.verdicts import EpisodeCut
 from vitac.evaluator.episodes.episode import make_environment, run_episode
-from vitac.evaluator.episodes.provenance import make_manifest
-from vitac.evaluator.episodes.reading import make_reading
-from vitac.evaluator.episodes.records import EpisodeRecord, result_hash
+from vitac.evaluator.episodes.records import EpisodeRecord, make_manifest, make_reading, result_hash
 from vitac.evaluator.logs.log import LogHeader, write_log
 from vitac.evaluator.remote.codec import read_array
 from vitac.evaluator.remote.description import RemoteProtocol, RemoteServer, by_level

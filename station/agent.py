@@ -11,8 +11,6 @@ from vitac.errors import VitacError
 from vitac.evaluator.agent.isolation.packages import installed_packages
 from vitac.evaluator.agent.session import Isolation
 from vitac.evaluator.agent.verdicts import PolicyFailed
-from vitac.evaluator.episodes.provenance import make_manifest
-from vitac.evaluator.episodes.reading import make_reading
 from vitac.evaluator.episodes.records import (
     ActionSequence,
     EpisodeOutcome,
@@ -22,13 +20,15 @@ from vitac.evaluator.episodes.records import (
     Timings,
     TrialEvidence,
     canonical_json,
+    make_manifest,
+    make_reading,
 )
-from vitac.evaluator.scoring.failures import is_broken
+from vitac.evaluator.scoring.score import is_broken
 from vitac.evaluator.shards.order import AttemptSpent, ShardEnd, ShardOrder, ShardResult
 from vitac.evaluator.shards.policy import load_in_sandbox
 from vitac.evaluator.submission.manifest import load_manifest
 from vitac.evaluator.tracks import Episode, Task
-from vitac.evaluator.tracks.cut import cut
+from vitac.evaluator.tracks.definition import cut
 from vitac.evaluator.tracks.sealed import load_played_track, read_secret
 
 from .description import StationDescription

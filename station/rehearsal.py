@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveInt
 from vitac.errors import VitacError
 from vitac.evaluator.agent.limits import Limits
-from vitac.evaluator.episodes.reading import make_reading
-from vitac.evaluator.episodes.records import ActionSequence
+from vitac.evaluator.episodes.records import ActionSequence, make_reading
 from vitac.evaluator.scoring.score import Rate, rate_by_start
 from vitac.evaluator.shards.policy import load_in_sandbox
 from vitac.evaluator.strict_model import StrictModel, Word, validate

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from vitac.errors import VitacError
 from vitac.evaluator.agent.verdicts import PolicyFailed
 from vitac.evaluator.episodes.episode import OpenSession, PlayingPolicy
-from vitac.evaluator.episodes.reading import Reading
-from vitac.evaluator.episodes.records import ContactForces, HelpKind, HumanHelp, TrialVideo
+from vitac.evaluator.episodes.records import ContactForces, HelpKind, HumanHelp, Reading, TrialVideo
 from vitac.evaluator.episodes.traces import OVER_FORCE_N, count_over_force, summarize_force
 from vitac.evaluator.tracks import Episode, Task
 

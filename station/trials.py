@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.geometry.bases import HEXAGON_HOLE_Y_MM
 from vitac.evaluator.episodes.episode import OpenSession, PlayingPolicy
-from vitac.evaluator.episodes.reading import Reading
+from vitac.evaluator.episodes.records import Reading
 from vitac.evaluator.tracks import Episode, Task
 
 from .arm import Offset

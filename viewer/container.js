@@ -1,4 +1,4 @@
-// Reads playback files as envs/playback_files/container.py writes them; the browser has unpacked the gzip.
+// Reads playback files as envs/playback_files/scene.py writes them; the browser has unpacked the gzip.
 
 const MAGIC = "VITACPB1";
 const TYPES = { uint8: Uint8Array, int16: Int16Array, uint16: Uint16Array, float32: Float32Array };

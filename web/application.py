@@ -16,8 +16,8 @@ from vitac.server.settings import Settings
 from vitac.server.tracks import sort_challenge_first
 
 from .pages import routes
-from .session.signer import SessionSigner, load_key
-from .sharing.preview import checked_font
+from .session import SessionSigner, load_key
+from .sharing import checked_font
 from .site import Site
 
 _ADDRESS = re.compile(rb'(?<=[\s])((?:href|src|action|formaction|poster|data-[a-z-]+)=")/(?!/)')

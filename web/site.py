@@ -30,7 +30,7 @@ from vitac.server.views.competition import CompetitionSummaryView
 from .front import FrontPage, Recent
 from .plots.map import EpisodeMap
 from .rendering import render
-from .session.signer import COOKIE, SessionSigner, read_form
+from .session import COOKIE, SessionSigner, read_form
 
 Page = Callable[[Request], Awaitable[Response]]
 

@@ -19,8 +19,7 @@ from vitac.server.competitions.sealing import find_secret
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.lifecycle import give_up
 from vitac.server.queue import work
-from vitac.server.queue.kinds import KINDS
-from vitac.server.queue.work import Claim, LeaseLost
+from vitac.server.queue.work import KINDS, Claim, LeaseLost
 from vitac.server.services import Services
 from vitac.server.storage.blobs import StoredFileLost
 from vitac.server.storage.scratch import has_space, is_disk_full

@@ -7,7 +7,7 @@ from typing import Final, Self
 
 import structlog
 from sqlalchemy.exc import DBAPIError
-from vitac.server.decisions.live_trials import store_picture
+from vitac.server.decisions.station_trials import store_picture
 from vitac.server.services import Services
 
 logger = structlog.get_logger(__name__)

@@ -14,9 +14,9 @@ from sqlalchemy.orm import Session
 from vitac.errors import VitacError
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.episodes.records import EpisodeRecord, Manifest
-from vitac.evaluator.estimator.regression import Coefficients
+from vitac.evaluator.estimator import Coefficients
 from vitac.evaluator.figures.figures import FigureChoice, FiguresPart
-from vitac.evaluator.scoring.failures import is_broken
+from vitac.evaluator.scoring.score import is_broken
 from vitac.evaluator.shards.order import ShardEnd, ShardOrder, ShardResult
 from vitac.evaluator.submission.manifest import load_manifest
 from vitac.server.competitions.competition import find_stage

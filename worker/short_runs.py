@@ -10,15 +10,14 @@ from types import MappingProxyType
 from typing import Protocol
 
 from sqlalchemy.orm import Session
-from vitac.evaluator.playback.making import CAMERAS_FILE, FILM_FILE, SCENE_FILE, STILL_FILE, PlaybackOrder
-from vitac.evaluator.playback.process import PlaybackFailed
+from vitac.evaluator.playback import CAMERAS_FILE, FILM_FILE, SCENE_FILE, STILL_FILE, PlaybackFailed, PlaybackOrder
 from vitac.evaluator.sensors.made import read_made_sensor
 from vitac.evaluator.sensors.manifest import SensorRejected
 from vitac.evaluator.shards.order import ShardOrder
 from vitac.evaluator.submission.sensor import make_sensor
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
-from vitac.evaluator.tracks.cut import cut
+from vitac.evaluator.tracks.definition import cut
 from vitac.server.database.states import FileRole, WorkState
 from vitac.server.evaluations.lifecycle import end_check, fail_check
 from vitac.server.evaluations.verdicts import ServiceVerdict

@@ -14,7 +14,7 @@ from psycopg.conninfo import make_conninfo
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 from vitac.envs.tasks.definition import Family
-from vitac.evaluator.playback.process import making
+from vitac.evaluator.playback import making
 from vitac.server.database.metrics import RetryReason
 from vitac.server.database.states import WorkerOrder, WorkKind
 from vitac.server.playbacks import work as playbacks

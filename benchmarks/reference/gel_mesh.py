@@ -18,8 +18,7 @@ from vitac.envs.fem.model.mesh import GelMesh, signed_volumes_m3
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import Clocks, Stopwatch
 from vitac.envs.tasks.insertion.interface import PegOffset
-from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
-from vitac.envs.tasks.peg_insertion.scene import PegInsertionSettings, PegScene, PegStart
+from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv, PegInsertionSettings, PegScene, PegStart
 
 FloatArray = np.ndarray[Any, np.dtype[np.float64]]
 SHEAR_MODULUS_PA = 3e5 / (2 * 1.3)

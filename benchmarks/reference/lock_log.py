@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 from vitac.envs.geometry.keys_and_locks import KeyShape, key_control_points
 from vitac.envs.tasks.lock_opening.definition import SUCCESS_Z_RANGE_M
-from vitac.envs.tasks.lock_opening.env import LockOpeningEnv
-from vitac.envs.tasks.lock_opening.scene import LockOpeningSettings
+from vitac.envs.tasks.lock_opening.env import LockOpeningEnv, LockOpeningSettings
 
 Episode = dict[str, Any]
 LIST_SEED = 8

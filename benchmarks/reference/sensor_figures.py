@@ -10,7 +10,7 @@ from functools import cache
 from multiprocessing import get_context
 
 from vitac.evaluator.episodes.episode import make_environment
-from vitac.evaluator.estimator.calibration import calibrate
+from vitac.evaluator.estimator import calibrate
 from vitac.evaluator.figures.figures import FiguresPart, StartFigures, merged
 from vitac.evaluator.figures.starts import Measurement, measured_episodes
 from vitac.evaluator.figures.table import FILE, LOOKS, make_reference_looks, reference_design

@@ -19,7 +19,7 @@ from vitac.envs.assets import Meshes
 from vitac.envs.geometry.keys_and_locks import KeyShape, key_control_points
 from vitac.envs.geometry.solid import nearest_vertices
 from vitac.envs.scene.grasped_scene import Clocks, Stopwatch
-from vitac.envs.tasks.lock_opening.scene import KeyOffset, LockOpeningSettings, LockScene, LockStart, SensorJitter
+from vitac.envs.tasks.lock_opening.env import KeyOffset, LockOpeningSettings, LockScene, LockStart, SensorJitter
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "support" / "physics"))
 from slow_oracle import SlowOracle

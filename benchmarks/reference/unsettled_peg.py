@@ -26,7 +26,7 @@ from vitac.envs.fem.scene.report import StepStatus
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import Clocks, Stopwatch
 from vitac.envs.tasks.insertion.interface import PegOffset
-from vitac.envs.tasks.peg_insertion.scene import PegInsertionSettings, PegScene, PegStart
+from vitac.envs.tasks.peg_insertion.env import PegInsertionSettings, PegScene, PegStart
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from physics_report.figures import outcomes

@@ -24,9 +24,8 @@ from vitac.envs.fem.scene.report import StepStatus
 from vitac.envs.tactile.design import SensorDesign
 from vitac.envs.tactile.gel import GelCells, GelDimensions, structured_gel
 from vitac.evaluator.episodes.episode import Environment, make_environment, run_episode
-from vitac.evaluator.episodes.reading import Observation
-from vitac.evaluator.episodes.records import EpisodeOutcome
-from vitac.evaluator.estimator.calibration import EstimatorSession, calibrate
+from vitac.evaluator.episodes.records import EpisodeOutcome, Observation
+from vitac.evaluator.estimator import EstimatorSession, calibrate
 from vitac.evaluator.figures.table import design_of_gel, reference_design
 from vitac.evaluator.sensors.made import read_design
 from vitac.evaluator.tracks import find_task

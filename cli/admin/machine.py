@@ -15,7 +15,7 @@ from ..client.verbs import NOTHING_CHANGED, DryRun, Yes, require_consent
 from ..terminal.output import AsJson, print_json, print_record, print_table
 
 if TYPE_CHECKING:
-    from vitac.server.operations.archive import BackupDescription
+    from vitac.server.operations.backup import BackupDescription
 
 RESTART = "Restart servers that are running: they know only the track files that were there when they started."
 
@@ -41,7 +41,7 @@ def restore(
     as_json: AsJson = False,
 ) -> None:
     """Restore a backup into an empty service; stop its workers first, and restart its servers afterwards."""
-    from vitac.server.operations import restore as restoring
+    from vitac.server.operations import backup as restoring
 
     from ..service.database import load_settings, open_service
 

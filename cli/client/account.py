@@ -11,8 +11,7 @@ import typer
 from vitac.errors import VitacError
 
 from ..terminal.output import AsJson, Server, TokenFile, print_json, print_pairs, print_records
-from . import credentials
-from .http import Json, make_client, read_token
+from .http import Json, credentials_file, find_stored_token, forget_token, make_client, read_token, store_token
 
 
 def whoami(
@@ -70,8 +69,8 @@ def login(
     else:
         token = sys.stdin.readline().strip()
     me = replace(client, token=token).me()
-    credentials.keep(client.server, token)
-    print(f"logged in at {client.server} as {format_owner(me)}; the token is stored in {credentials.path()}")
+    store_token(client.server, token)
+    print(f"logged in at {client.server} as {format_owner(me)}; the token is stored in {credentials_file()}")
 
 
 def logout(
@@ -80,14 +79,14 @@ def logout(
 ) -> None:
     """Remove the stored token from this machine; the team and its other tokens stay."""
     client = make_client(server, None, with_token=False)
-    token = credentials.find_stored_token(client.server)
+    token = find_stored_token(client.server)
     if token is None:
         print(f"not logged in at {client.server}")
         return
     if revoke:
         own = replace(client, token=token)
         own.revoke(own.me()["token"]["id"])
-    credentials.forget(client.server)
+    forget_token(client.server)
     print(f"logged out at {client.server}")
 
 
@@ -104,7 +103,7 @@ def register(
 ) -> None:
     """Register a team, print its token, which is shown only once, and store it for the other commands."""
     client = make_client(server, None, with_token=False)
-    if credentials.find_stored_token(client.server) is not None:
+    if find_stored_token(client.server) is not None:
         raise LoggedIn(f"You are logged in at {client.server}; `vitac whoami` shows as whom, `vitac logout` ends it.")
     answer = client.register(name, contact=contact, invite=invite)
     secret = answer["token"]["secret"]
@@ -113,9 +112,9 @@ def register(
         print_json(answer)
     else:
         print_pairs({"team": answer["team"]["name"], "server": client.server, "token": secret})
-    credentials.keep(client.server, secret)
+    store_token(client.server, secret)
     if as_json:
         return
     print(
-        f"\nThe token is stored in {credentials.path()}, for `vitac submit` and others. Sign in to the pages with it."
+        f"\nThe token is stored in {credentials_file()}, for `vitac submit` and others. Sign in to the pages with it."
     )

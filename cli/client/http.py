@@ -1,4 +1,4 @@
-"""The HTTP client of a service's API. Called by `submit`, `status` and `demo`."""
+"""How commands reach a service: requests with their limits, and the tokens that `vitac login` stores."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import json
 import os
 import re
 import ssl
+import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -18,7 +19,6 @@ import httpx
 from vitac.errors import VitacError
 from vitac.evaluator.submission_kinds import SubmissionKind
 
-from . import credentials
 from .answers import Answer, ServiceUnreachable, decode, decode_object, refusal
 from .pieces import PieceSender
 
@@ -207,7 +207,7 @@ def make_client(server: str | None, token_file: Path | None, *, with_token: bool
         VitacError: the address is invalid, or the token's file cannot be read.
     """
     named = server or os.environ.get("VITAC_SERVER")
-    last = None if named else credentials.last_server()
+    last = None if named else last_server()
     address = named or last or DEFAULT_SERVER
     if not address.startswith(("http://", "https://")):
         raise VitacError(f"Expected a service address like {DEFAULT_SERVER}, got {address!r}.")
@@ -217,7 +217,7 @@ def make_client(server: str | None, token_file: Path | None, *, with_token: bool
     if token_file is not None:
         return Client(server=address, token=read_token(token_file))
     from_environment = None if last else os.environ.get("VITAC_TOKEN")
-    return Client(server=address, token=from_environment or credentials.find_stored_token(address))
+    return Client(server=address, token=from_environment or find_stored_token(address))
 
 
 def read_token(token_file: Path) -> str:
@@ -232,3 +232,75 @@ def read_token(token_file: Path) -> str:
         raise VitacError(
             f"The token's file {token_file} cannot be read: {error.strerror}. Check --token-file."
         ) from error
+
+
+CREDENTIALS_FILE = "vitac/credentials.json"
+
+
+class CredentialsUnusable(VitacError):
+    """The file with the stored tokens cannot be read or written; the message names it."""
+
+
+def credentials_file() -> Path:
+    """Return the file, in the user's configuration."""
+    folder = os.environ.get("XDG_CONFIG_HOME")
+    return (Path(folder) if folder else Path.home() / ".config") / CREDENTIALS_FILE
+
+
+def find_stored_token(server: str) -> str | None:
+    """Return the token that is stored for a service, or None."""
+    token = _read_credentials()["tokens"].get(server)
+    return token if isinstance(token, str) else None
+
+
+def last_server() -> str | None:
+    """Return the service of the last login, or None."""
+    server = _read_credentials()["server"]
+    return server if isinstance(server, str) else None
+
+
+def store_token(server: str, token: str) -> None:
+    """Store a token, and make its service the default."""
+    stored = _read_credentials()
+    stored["tokens"][server] = token
+    _write_credentials({"server": server, "tokens": stored["tokens"]})
+
+
+def forget_token(server: str) -> bool:
+    """Remove the token of a service; return whether there was one."""
+    stored = _read_credentials()
+    if stored["tokens"].pop(server, None) is None:
+        return False
+    if stored["server"] == server:
+        stored["server"] = None
+    _write_credentials(stored)
+    return True
+
+
+def _read_credentials() -> dict[str, Any]:
+    try:
+        content = json.loads(credentials_file().read_text())
+        return {"server": content["server"], "tokens": dict(content["tokens"])}
+    except FileNotFoundError:
+        return {"server": None, "tokens": {}}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise CredentialsUnusable(
+            f"The stored tokens in {credentials_file()} cannot be read ({error}); remove the file."
+        ) from error
+
+
+def _write_credentials(content: dict[str, Any]) -> None:
+    """Replace the file as a whole, so that a command that is killed leaves the old or the new one."""
+    target = credentials_file()
+    try:
+        target.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        descriptor, draft = tempfile.mkstemp(dir=target.parent, prefix=f"{target.name}.")  # mode 0600
+        try:
+            with os.fdopen(descriptor, "w") as file:
+                json.dump(content, file, indent=1)
+            Path(draft).replace(target)
+        except BaseException:
+            Path(draft).unlink()
+            raise
+    except OSError as error:
+        raise CredentialsUnusable(f"The token cannot be stored in {target}: {error.strerror}.") from error

@@ -189,7 +189,7 @@ async def _end(held: list[asyncio.Task[None]]) -> None:
 
 async def _hold(gate: str, token: str, server: str, first: asyncio.Future[None]) -> None:
     """Dial the gate again whenever its line ends."""
-    from vitac.evaluator.remote.relay import join
+    from vitac.evaluator.remote.line import join
     from websockets.asyncio.client import connect
     from websockets.exceptions import ConnectionClosedError, ConnectionClosedOK, WebSocketException
 

@@ -85,8 +85,7 @@ def _find_track(submission: Path, kind: SubmissionKind) -> str | None:
 
     The service knows which of its tracks a text log is of.
     """
-    from vitac.evaluator.logs.log import LogReader
-    from vitac.evaluator.logs.packing import open_log
+    from vitac.evaluator.logs.log import LogReader, open_log
     from vitac.evaluator.submission.sources import read_manifest_file
 
     if kind.form.is_archive:

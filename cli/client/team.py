@@ -9,9 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from ..terminal.output import AsJson, Server, TokenFile, existing_file, print_json, print_meanings, print_pairs
-from . import credentials
 from .answers import decode
-from .http import make_client
+from .http import make_client, store_token
 from .verbs import HELPS, OWN_TEAM, PREFIX, Door, Given, Verb, add_verbs, print_fields, print_rows
 
 MemberName = Annotated[str, typer.Argument(help="The member's name, as `vitac team show` prints it.")]
@@ -238,7 +237,7 @@ def join(
         print_json(answer)
     else:
         print_pairs({"team": answer["team"]["name"], "server": client.server, "token": secret})
-    credentials.keep(client.server, secret)
+    store_token(client.server, secret)
 
 
 @app.command()
@@ -289,7 +288,7 @@ def renew_token(
         print_json(made)
     else:
         print_pairs({"token": made["secret"], "expires": made["expires_at"]})
-    credentials.keep(client.server, made["secret"])
+    store_token(client.server, made["secret"])
 
 
 def _change_member(server: str | None, token_file: Path | None, member: str, body: dict[str, object]) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import yaml
 
 from .definition import CATALOGUE_FILE, MODES
-from .state import flattened, parts_of_state
+from .env import flattened, parts_of_state
 
 _TIME_LIMIT_S = 300.0
 

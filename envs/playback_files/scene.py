@@ -1,10 +1,20 @@
-"""The file of an episode's scene: bodies, moments, and the contact forces on the held part as few arrows."""
+"""The file of an episode's scene: bodies, moments, and the contact forces on the held part as few arrows.
 
-from collections.abc import Sequence
+Its format, which `viewer/container.js` reads: after the magic come the length of a JSON header as a 32-bit number, the
+header, and the bytes of named arrays, little-endian, each at a multiple of four bytes from the end of the header, which
+is padded to such a multiple itself; all compressed with gzip.
+"""
+
+import gzip
+import json
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from vitac.errors import VitacError
 
 from ..drawing.drawable import NotDrawable, find_perspective
 from ..drawing.playback import EpisodePlayback, Moment
@@ -15,9 +25,9 @@ from ..scene.perspective import Perspective
 from ..tactile.markers import SensingSurface
 from ..tasks.definition import LARGEST_SURFACE_DIFF_M
 from ..tasks.registry import task_definitions
-from .container import Changes, PlaybackTooLarge, pack, whole_numbers
 
 FloatArray = NDArray[np.float64]
+
 
 PLACES: Final = 6
 """Most places at which the held part is shown to touch the fixed one."""
@@ -257,3 +267,50 @@ def _own_displacements_mm(playback: EpisodePlayback, moment: Moment) -> FloatArr
     pose = _held_pose_mm(playback, moment)
     own_mm = np.linalg.solve(pose[:9].reshape(3, 3), (1e3 * moment.held_m - pose[9:]).T).T
     return np.asarray(own_mm - 1e3 * playback.held.vertices_m)
+
+
+MAGIC: Final = b"VITACPB1"
+_LENGTH = struct.Struct("<I")
+_ALIGNMENT = 4
+_TYPES = frozenset({"uint8", "int16", "uint16", "float32"})
+
+
+class PlaybackTooLarge(VitacError):
+    """An episode does not fit into a playback file; the message says how large it may be."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Changes:
+    """An array of whole numbers that is stored as the changes along its first axis, which compress well.
+
+    Attributes:
+        values: shape [n, ...].
+    """
+
+    values: NDArray[Any]
+
+
+def pack(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any] | Changes]) -> bytes:
+    """Return a file with a header and arrays of the types uint8, int16, uint16 and float32."""
+    described: dict[str, Any] = {}
+    body = bytearray()
+    for name, array in arrays.items():
+        are_changes = isinstance(array, Changes)
+        values = array.values if isinstance(array, Changes) else array
+        assert values.dtype.name in _TYPES, f"{name} is of {values.dtype}"  # noqa: S101 - our own callers
+        # Whole numbers wrap around, so the sum of the changes gives the values back.
+        stored = np.diff(values, axis=0, prepend=np.zeros_like(values[:1])) if are_changes else values
+        described[name] = {"type": values.dtype.name, "shape": values.shape, "at": len(body), "changes": are_changes}
+        body += _padded(np.ascontiguousarray(stored, dtype=values.dtype.newbyteorder("<")).tobytes(), b"\0")
+    text = _padded(json.dumps(dict(header) | {"arrays": described}, allow_nan=False).encode(), b" ")
+    return gzip.compress(MAGIC + _LENGTH.pack(len(text)) + text + body, compresslevel=9, mtime=0)
+
+
+def whole_numbers(values: ArrayLike, unit: float, dtype: type[np.integer[Any]]) -> NDArray[Any]:
+    """Return values as multiples of a unit, those beyond the range of the type at its ends."""
+    limits = np.iinfo(dtype)
+    return np.clip(np.rint(np.asarray(values, dtype=np.float64) / unit), limits.min, limits.max).astype(dtype)
+
+
+def _padded(content: bytes, with_byte: bytes) -> bytes:
+    return content + with_byte * (-len(content) % _ALIGNMENT)

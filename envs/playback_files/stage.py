@@ -18,8 +18,7 @@ from ..geometry.solid import prism_faces, rectangle, solid_from_faces
 from ..scene.gripper import SensorPose
 from ..vision.camera import Sight
 from ..vision.still import cut_open
-from .container import Changes, PlaybackTooLarge, pack
-from .scene import look_up_perspective
+from .scene import Changes, PlaybackTooLarge, look_up_perspective, pack
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]

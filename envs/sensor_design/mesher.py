@@ -16,8 +16,7 @@ from .columns import Columns
 from .crossings import farthest
 from .height_field import HeightField, MeshLine, add_outlines, convert_to_mm, heights_of_faces_mm, snap_to_grid
 from .plane_mesh import GRID_PER_MM, PlaneMesh, TooManyPoints
-from .sampling import pulled_corners, samples_of_triangles_mm
-from .surface import DrawnSurface
+from .surface import DrawnSurface, pulled_corners, samples_of_triangles_mm
 from .tetrahedra import Tetrahedra, refined_tips
 
 FloatArray = NDArray[np.float64]

@@ -1,17 +1,18 @@
 """What every tactile task environment shares: episodes, randomness, clocks, hashes and how an episode ends.
 
-A task adds its definition, its scene, its goal and its variation.
+A task adds its definition, its scene, its goal and its variation. `EpisodeSnapshot` holds a running episode's state.
 """
 
 import hashlib
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from copy import deepcopy
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import inf
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import Any, ClassVar, Generic, Protocol, TypeVar, cast
+from typing import Any, ClassVar, Generic, NoReturn, Protocol, TypeVar, cast
 
 import gymnasium
 import numpy as np
@@ -23,7 +24,7 @@ from ..fem import SOLVER_VERSION
 from ..fem.model.mesh import GelMesh, SurfaceMesh
 from ..fem.model.settings import ContactModel
 from ..observable import Observable
-from ..scene.grasped_scene import Clocks, GraspedScene, Stopwatch
+from ..scene.grasped_scene import Clocks, GraspedScene, GraspState, Stopwatch
 from ..signals import signals_wait
 from ..tactile.design import SensorDesign
 from ..vision.still import StillCamera
@@ -49,7 +50,58 @@ from .settings import (
     with_contact_model,
     with_fidelity,
 )
-from .snapshot import EpisodeSnapshot, Generators
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Generators:
+    """The random numbers that are to come.
+
+    Attributes:
+        own: generator of the environment.
+        episode: generator of the episode; None where it is the environment's own.
+    """
+
+    own: np.random.Generator
+    episode: np.random.Generator | None
+
+    def copied(self) -> "Generators":
+        """Return generators that give the same numbers without changing what these give."""
+        return deepcopy(self)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EpisodeSnapshot:
+    """What `restore` needs; it belongs to the environment that made it and to no other process.
+
+    Attributes:
+        owner: the environment that made it.
+        scene: of the episode; it is shared by all snapshots of the episode and built again by none.
+        commanded: what was commanded so far and what else the task's scene keeps, beside the physics.
+        grasp: state of the physics, the gripper and the sensors.
+        error: how far the episode was from its goal.
+        drawn: quantities of the episode.
+        generators: as they were.
+    """
+
+    owner: Any
+    scene: Any
+    commanded: dict[str, Any]
+    grasp: GraspState
+    error: float
+    drawn: dict[str, float]
+    generators: Generators
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse to be pickled or copied, as the scene would come along.
+
+        Raises:
+            TypeError: always.
+        """
+        raise TypeError(
+            "A snapshot cannot leave the process and the environment that made it. Send the seed and the actions "
+            "instead, and play them again: the states are the same to the last bit."
+        )
+
 
 FloatArray = NDArray[np.float64]
 Observation = dict[str, NDArray[Any]]

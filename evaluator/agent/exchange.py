@@ -11,8 +11,7 @@ from typing import Final
 from .isolation.output import printable
 from .isolation.sandbox import Sandbox
 from .limits import Limits
-from .protocol.channel import ChannelClosed
-from .protocol.frames import AnswerKind, PolicyAnswer, PolicyQuestion
+from .protocol import AnswerKind, ChannelClosed, PolicyAnswer, PolicyQuestion
 from .verdicts import PolicyFailed, SandboxFailed, VerdictCode
 
 LOADER_PID: Final = 2

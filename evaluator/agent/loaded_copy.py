@@ -20,7 +20,7 @@ from typing import Final
 from .exchange import EpisodeProcess
 from .isolation import process_tree, tracing
 from .isolation.bubblewrap import DEVICES
-from .isolation.process_ids import ProcessIds
+from .isolation.process_tree import ProcessIds
 from .isolation.tracing import NotWaiting, TracedProcess, TracedProcessGone
 from .verdicts import PolicyFailed, VerdictCode
 

@@ -19,15 +19,15 @@ from .exchange import LOADER_PID, Deadlines, EpisodeProcess, Exchange
 from .isolation import process_tree, tracing
 from .isolation.bubblewrap import UserIsolation
 from .isolation.cgroup import MemoryIsolation
-from .isolation.image_program import ImageProgram
+from .isolation.gpu import ImageProgram
 from .isolation.memory_files import FileIsolation
-from .isolation.process_ids import ProcessIds
+from .isolation.process_tree import ProcessIds
 from .isolation.sandbox import Sandbox
 from .isolation.shared_core import SharedCore
 from .isolation.tracing import TracedProcessGone
 from .limits import Limits, ShardTime, StartTimes, default_period_s
 from .loaded_copy import LoadedCopy
-from .protocol.frames import (
+from .protocol import (
     AnswerKind,
     Array,
     CloudSpec,

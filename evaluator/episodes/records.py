@@ -1,15 +1,13 @@
-"""What an evaluation leaves behind: one record per episode, and the hash over all of them.
-
-Runners write records, the server stores them, scoring and replay read them. Importing this needs no simulation.
-"""
+"""Records of episodes: what they hold, their hashes, where they come from, and how files of them are read."""
 
 import base64
 import binascii
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
 from enum import StrEnum
-from typing import Annotated, Any, Final, Self
+from typing import Annotated, Any, Final, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,11 +22,17 @@ from pydantic import (
     model_serializer,
     model_validator,
 )
+from vitac.envs.observable import Observable
+from vitac.envs.tasks.definition import chosen_observables
 from vitac.errors import VitacError
 
+from ..agent.protocol import CloudSpec
 from ..agent.verdicts import VerdictCode
 from ..sentence_enum import SentenceEnum
 from ..strict_model import StrictModel, Word
+from ..tracks import Task, Track
+from ..tracks.registry import compute_hash, find_version, list_parts
+from ..version import platform_class
 
 NOT_HASHED: Final = frozenset({"timings", "output"})
 """Fields of a record that may differ when its episode is played again; never part of a digest or of a log."""
@@ -351,4 +355,87 @@ def _hashed_part(record: EpisodeRecord) -> dict[str, Any]:
             "outcome": record.outcome.value,
             "failure": record.failure.code.value if record.failure else None,
         }
+    )
+
+
+class SimulationVersions(Protocol):
+    """What episodes are played with."""
+
+    @property
+    def solver_version(self) -> str:
+        """Version of what moves the parts."""
+
+    def mesh_hash(self) -> str:
+        """Return the SHA-256 [hex] of the meshes and settings."""
+
+
+def make_manifest(track: Track, task: Task, env: SimulationVersions) -> Manifest:
+    """Return what an evaluation in this environment, or on a station, is made with."""
+    return Manifest(
+        track=track.name,
+        task=task.name,
+        list_seed=task.episode_list.list_seed,
+        task_hash=task.digest(),
+        evaluator_version=find_version(track.name),
+        evaluator_hash=compute_hash(track.name),
+        evaluator_parts=dict(list_parts(track.name)),
+        solver_version=env.solver_version,
+        mesh_hash=env.mesh_hash(),
+        platform_class=platform_class(),
+    )
+
+
+Observation = Mapping[str, NDArray[Any]]
+
+
+class Observed(Protocol):
+    """What says which observables a policy may read: a task of a track."""
+
+    @property
+    def observables(self) -> tuple[Observable[Any], ...]:
+        """Nothing privileged is among them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """The part of an observation that reaches a policy.
+
+    A point cloud follows from its depth picture, so the picture is sent and the policy's side makes the cloud of it.
+
+    Attributes:
+        keys: what the policy reads, in the order of the task.
+        sent: what the environment computes and what is sent.
+        clouds: what the policy's side makes of what was sent.
+    """
+
+    keys: tuple[str, ...]
+    sent: tuple[str, ...]
+    clouds: tuple[CloudSpec, ...]
+
+
+def make_reading(task: Observed, keys: Collection[str] | None = None) -> Reading:
+    """Return what a policy reads that names these keys; keys that are another task's are left out.
+
+    Args:
+        task: what is played.
+        keys: from the submission manifest; None for all of the task's.
+    """
+    listed = task.observables
+    read = listed if keys is None else tuple(entry for entry in listed if entry.name in keys)
+    names = {entry.name for entry in read}
+    clouds = [
+        CloudSpec(
+            name=entry.name,
+            depth=entry.computed_from.depth,
+            keep_depth=entry.computed_from.depth in names,
+            intrinsics=list(entry.computed_from.intrinsics),
+        )
+        for entry in read
+        if entry.computed_from
+    ]
+    sent = {entry.name for entry in read if not entry.computed_from} | {cloud.depth for cloud in clouds}
+    return Reading(
+        keys=tuple(entry.name for entry in read),
+        sent=tuple(entry.name for entry in chosen_observables(listed, sent)),
+        clouds=tuple(clouds),
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..episodes.episode import make_environment
 from ..episodes.records import EpisodeRecord
-from ..estimator.regression import Coefficients
+from ..estimator import Coefficients
 from ..figures.figures import FigureChoice, SensorFigures, merged
 from ..figures.starts import measure_whole
 from ..figures.table import list_missing_rows
@@ -19,8 +19,7 @@ from ..sensors.made import MadeSensor, made_sensor
 from ..shards.order import OnCalibration
 from ..strict_model import StrictModel
 from ..tracks import Player, load_track
-from .local import LocalEvaluation, evaluate
-from .stored_shards import StoredShards
+from .local import LocalEvaluation, StoredShards, evaluate
 
 TRACK = "track_3"
 

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..episodes.records import EpisodeRecord, Manifest, PolicyFailure
-from ..scoring.failures import breaking_failure
+from ..scoring.score import breaking_failure
 from ..tracks import Task, Track
-from ..tracks.cut import cut
+from ..tracks.definition import cut
 from ..tracks.registry import differing_parts, find_version, list_parts
 from .findings import Impossibility, ImpossibleReason
 from .log import LogHeader

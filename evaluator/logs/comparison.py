@@ -9,8 +9,7 @@ from pydantic import NonNegativeInt
 
 from ..agent.verdicts import PolicyFailed
 from ..episodes.episode import Environment, OpenSession, PlayingPolicy, Session, open_episode, public_part
-from ..episodes.reading import Reading, make_reading
-from ..episodes.records import ActionSequence, EpisodeRecord
+from ..episodes.records import ActionSequence, EpisodeRecord, Reading, make_reading
 from ..strict_model import StrictModel
 from ..tracks import Task
 from .log import LogHeader

@@ -1,21 +1,20 @@
-"""Recorded actions in our physics, read from whichever kind of file: the report of `vitac resimulate`."""
+"""Re-simulates recorded actions of logs, ours and those of 2025, and compares."""
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Final, Self
 
 from pydantic import BaseModel, ConfigDict, JsonValue, PositiveInt, SerializerFunctionWrapHandler, model_serializer
 
-from ..episodes.episode import Environment
+from ..episodes.episode import Environment, Resimulated, make_environment, resimulate
 from ..episodes.records import EpisodeOutcome, EpisodeRecord
-from ..episodes.replay import Resimulated, resimulate
 from ..strict_model import DocumentRejected, StrictModel, validate
-from ..tracks import Task
-from .log import MAX_LINE_BYTES, LogReader, is_log
-from .packing import open_log
+from ..tracks import Task, load_track
+from .log import MAX_LINE_BYTES, LogReader, is_log, open_log
 from .recordings import Recording, RecordingRejected, find_recorded_episode, make_recording, recorded_actions
-from .text_2025 import TextLogRejected, is_text_log, read_text_log, summarize, to_json_lines
+from .text_2025 import TextLogRejected, TextLogSummary, is_text_log, read_text_log, summarize, to_json_lines
+from .text_2025.recordings import track_and_task_names
 from .text_2025.scripts import all_scripts
 
 _FLAGS = ("is_success", "force_too_large", "tactile_movement_too_large", "error_too_large")
@@ -191,3 +190,90 @@ def _recording_of_2025(content: _EpisodeOf2025, place: str, task: Task) -> Recor
         infos=tuple(step.model_dump(mode="json", exclude={"action"}, exclude_none=True) for step in content.steps),
         success=None if content.result is None else content.result == "SUCCESS",
     )
+
+
+CANNOT_BE_VERIFIED: Final = (
+    "A 2025 text log holds no states, and the 2025 simulator does not reproduce itself, so it cannot be verified: its "
+    "numbers are checked against each other and the published rules, and its actions are re-simulated."
+)
+
+
+class ResimulatedTest(StrictModel):
+    """How one test ended in the log and here; an env step is None where the recorded actions end before the test."""
+
+    number: int
+    claimed_success: bool
+    success: bool
+    logged_env_steps: int
+    end_step: int | None
+
+
+class TextLogCheck(StrictModel):
+    """What a text log says, what is wrong with it, and where its actions lead in our physics."""
+
+    track: str
+    task: str
+    summary: TextLogSummary
+    missing_tests: int
+    tests: tuple[ResimulatedTest, ...]
+
+    @property
+    def is_consistent(self) -> bool:
+        """Whether it is whole and no number in it contradicts another."""
+        return not self.missing_tests and not self.summary.problems
+
+    @property
+    def successes(self) -> int:
+        """Tests that succeed here."""
+        return sum(test.success for test in self.tests)
+
+    @property
+    def same_ends(self) -> int:
+        """Tests that end here at the logged env step, and with the logged result."""
+        return sum(
+            test.end_step == test.logged_env_steps and test.success == test.claimed_success for test in self.tests
+        )
+
+    @classmethod
+    def from_file(cls, path: Path, on_test: Callable[[int], object]) -> Self:
+        """Check and re-simulate a text log.
+
+        Args:
+            path: the file, gzipped or not.
+            on_test: gets the number of each re-simulated test.
+
+        Raises:
+            TextLogRejected: it cannot be read, or no task here is its own.
+        """
+        with open_log(path) as stream:
+            script, summary = summarize(read_text_log(stream))
+        track, name = track_and_task_names(script)
+        task = load_track(track).tasks.get(name)
+        if task is None:
+            raise TextLogRejected(f"The log is of {script.name}, but there is no track with its task here.")
+        tests = tuple(_tests(path, task, on_test))
+        missing = len(task.episodes) - len(tests)
+        return cls(track=track, task=name, summary=summary, missing_tests=missing, tests=tests)
+
+
+def is_text_log_file(path: Path) -> bool:
+    """Return whether a file starts like a 2025 text log, gzipped or not."""
+    with open_log(path) as stream:
+        return is_text_log(stream.peek())
+
+
+def _tests(path: Path, task: Task, on_test: Callable[[int], object]) -> list[ResimulatedTest]:
+    env, tests = make_environment(task.apply_text_log_settings(), None, ()), []
+    for recording in read_recordings(path, task):
+        played = resimulate(env, recording.episode, recording.actions)
+        tests.append(
+            ResimulatedTest(
+                number=recording.episode.number,
+                claimed_success=recording.success is True,
+                success=played.outcome is EpisodeOutcome.SUCCESS,
+                logged_env_steps=len(recording.actions),
+                end_step=played.end_step,
+            )
+        )
+        on_test(recording.episode.number)
+    return tests

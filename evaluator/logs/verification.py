@@ -6,10 +6,8 @@ Re-simulation proves the actions, not that a policy chose them.
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
-from ..episodes.episode import Environment
-from ..episodes.provenance import make_manifest
-from ..episodes.records import EpisodeOutcome, EpisodeRecord, Manifest
-from ..episodes.replay import Resimulated, resimulate
+from ..episodes.episode import Environment, Resimulated, resimulate
+from ..episodes.records import EpisodeOutcome, EpisodeRecord, Manifest, make_manifest
 from ..scoring.score import Score, score
 from ..strict_model import StrictModel
 from ..tracks import Task, Track, load_track

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from ..agent.protocol.frames import violation
+from ..agent.protocol import violation
 from ..agent.verdicts import PolicyFailed, VerdictCode
 
 ANSWER_BYTES: Final = 1024 * 1024

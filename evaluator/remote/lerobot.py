@@ -13,11 +13,10 @@ import grpc
 import numpy as np
 from numpy.typing import NDArray
 
-from ..agent.protocol.frames import violation
+from ..agent.protocol import violation
 from .codec import ANSWER_BYTES
 from .description import RemoteServer
-from .dialogue import reported
-from .line import LineLost, LineSilent
+from .line import LineLost, LineSilent, reported
 from .pickles import read_actions, write_call
 
 _SERVICE: Final = "/transport.AsyncInference/"

@@ -1,27 +1,30 @@
-"""One websocket to a policy, with a deadline for everything: `websockets` speaks the protocol, the socket is ours.
+"""The line to a policy server: a websocket with deadlines, what is asked on it, and how two are joined into one."""
 
-Whoever sends slowly, too much, or nothing holds its caller no longer than the deadline; called by `session`.
-"""
-
+import asyncio
 import contextlib
 import socket
 import ssl
 import time
 from collections import deque
-from collections.abc import Iterator
-from typing import Final, Self
-from urllib.parse import urlsplit
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from typing import Any, Final, Protocol, Self
+from urllib.parse import quote, urlsplit
 
+from numpy.typing import NDArray
 from vitac.errors import VitacError
+from websockets.asyncio.connection import Connection
 from websockets.client import ClientProtocol
-from websockets.exceptions import InvalidURI, PayloadTooBig
+from websockets.exceptions import ConnectionClosed, InvalidURI, PayloadTooBig
 from websockets.frames import Frame, Opcode
 from websockets.http11 import Request
 from websockets.protocol import State
 from websockets.server import ServerProtocol
 from websockets.uri import parse_uri
 
-from ..agent.protocol.frames import violation
+from ..agent.isolation.output import printable
+from ..agent.protocol import violation
+from ..agent.verdicts import PolicyFailed, VerdictCode
 from .codec import ANSWER_BYTES
 
 _CHUNK_BYTES: Final = 256 * 1024
@@ -249,3 +252,71 @@ def _left_s(deadline_s: float) -> float:
     if left_s <= 0:
         raise LineSilent
     return left_s
+
+
+_ERROR_CHARACTERS: Final = 4096
+
+
+Sent = Mapping[str, NDArray[Any]]
+
+
+class Dialogue(Protocol):
+    """What both ends say on one line; every call has a deadline by the monotonic clock.
+
+    All raise `PolicyFailed`, `LineLost` and `LineSilent`.
+    """
+
+    def greet(self, deadline_s: float) -> None:
+        """Do what comes before the first episode."""
+
+    def begin(self, prompt: str, deadline_s: float) -> None:
+        """Say that an episode begins."""
+
+    def ask(self, sent: Sent, prompt: str, deadline_s: float) -> object:
+        """Send an observation; return the field with the actions, undecoded."""
+
+    def end(self, deadline_s: float) -> None:
+        """Say that the episode is over."""
+
+    def close(self) -> None:
+        """Close this end."""
+
+
+def reported(text: str) -> PolicyFailed:
+    """Return the failure of a policy whose server said so, in a text of any length."""
+    end = printable(text[-_ERROR_CHARACTERS:]).strip()
+    return PolicyFailed(
+        VerdictCode.CRASHED, f"The policy server reported an error: {end.rpartition(chr(10))[2]!r:.300}.", end
+    )
+
+
+WAITING = "waiting"
+"""What the gate says to a line that it keeps."""
+BEGIN = "begin"
+"""What it says when somebody plays on it; all that follows is the policy server's protocol."""
+
+
+PLAY = "/play/"
+"""How paths at the gate's inner address begin, before the name of a team."""
+
+
+def inner_address(gate: str, team: str) -> str:
+    """Return where a team's policy is asked that has dialled the gate of an inner address."""
+    return f"{gate.rstrip('/')}{PLAY}{quote(team, safe='')}"
+
+
+async def join(one: Connection, other: Connection) -> None:
+    """Send what comes from either end to the other, until one is closed; then both are."""
+    copies = [asyncio.create_task(_copy(*ends)) for ends in ((one, other), (other, one))]
+    try:
+        await asyncio.wait(copies, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for copy in copies:
+            copy.cancel()
+        await asyncio.gather(*copies, one.close(), other.close(), return_exceptions=True)
+
+
+async def _copy(source: Connection, target: Connection) -> None:
+    with suppress(ConnectionClosed):
+        async for message in source:
+            await target.send(message)

@@ -13,7 +13,7 @@ from typing import Any, Final, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..agent.protocol.frames import violation
+from ..agent.protocol import violation
 from ..agent.verdicts import PolicyFailed, VerdictCode
 
 _HELPERS: Final = "lerobot.async_inference.helpers"

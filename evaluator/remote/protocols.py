@@ -7,11 +7,10 @@ from typing import Any, Final
 
 from vitac.envs.extras import require_extra
 
-from ..agent.protocol.frames import violation
+from ..agent.protocol import violation
 from .codec import decode, encode, read_field
 from .description import RemoteProtocol, RemoteServer, by_level
-from .dialogue import Dialogue, Sent, reported
-from .line import AddressInvalid, Line, LineLost, check_websocket
+from .line import AddressInvalid, Dialogue, Line, LineLost, Sent, check_websocket, reported
 
 _BRIDGE_VERSION: Final = "robot-bridge-v1"
 VLA_EVAL_VERSION: Final = 1

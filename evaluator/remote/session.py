@@ -1,21 +1,22 @@
-"""Plays episodes with a policy at the other end of a line; `shards` uses it in place of a sandbox."""
+"""Plays episodes at a policy server, or asks it one blank observation of each task."""
 
 import contextlib
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..agent.limits import Limits, ShardTime
-from ..agent.protocol.frames import CloudSpec, add_clouds, checked_action
+from ..agent.protocol import CloudSpec, add_clouds, checked_action
 from ..agent.verdicts import EpisodeCut, PolicyFailed, VerdictCode
+from ..tracks import Task
 from .codec import read_array
 from .description import RemoteServer
-from .dialogue import Dialogue
-from .line import LineLost, LineSilent
+from .line import Dialogue, LineLost, LineSilent
 from .protocols import check_address, open_dialogue
 
 _CUTS_MAX: Final = 3
@@ -194,3 +195,48 @@ class RemotePolicy:
                 self.answers_s.append(time.monotonic() - started_s)
             self._actions.extend(self._session.rows(answer, self._action_shape))
         return self._actions.popleft()
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlankAnswer:
+    """How a policy server answered a blank observation of a task.
+
+    Attributes:
+        task: its name.
+        answer_s: from the question to the answer [s].
+        low: smallest number of the action; what is beyond [-1, 1] is clipped.
+        high: largest one.
+    """
+
+    task: str
+    answer_s: float
+    low: float
+    high: float
+
+
+def test_connection(
+    address: str, server: RemoteServer, tasks: Iterable[Task], limits: Limits
+) -> tuple[BlankAnswer, ...]:
+    """Make sure that a policy server answers with an action of each task, and return its answers.
+
+    Args:
+        address: `ws://` or `wss://`.
+        server: what submission.yaml says of it.
+        tasks: that it is to play.
+        limits: those by the clock hold.
+
+    Raises:
+        AddressInvalid: the address is none.
+        PolicyFailed: it cannot be reached, or would fail an episode.
+        EpisodeCut: it cut the line.
+    """
+    answers = []
+    with RemoteSession(address, server, limits) as session:
+        for task in tasks:
+            keys = server.keys or [row.name for row in task.observables]
+            blank = {row.name: np.zeros(row.shape, row.dtype) for row in task.observables if row.name in keys}
+            with session.episode(task=task.name, action_shape=(len(task.actions),)) as policy:
+                action = policy.act(blank)
+            low, high = float(action.min()), float(action.max())
+            answers.append(BlankAnswer(task=task.name, answer_s=policy.answers_s[0], low=low, high=high))
+    return tuple(answers)

@@ -1,19 +1,21 @@
-"""The score of an evaluation, a pure function of its records; used by the CLI, the leaderboards and the pages."""
+"""Scores: of a task and a track from its records, on parts of a list, and by kinds of failure."""
 
 from collections import Counter
-from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cache
-from math import cos, hypot, isfinite, pi, sqrt, tan
+from math import comb, cos, erfc, hypot, isfinite, pi, sqrt, tan
 from statistics import NormalDist, fmean, median, stdev
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 from vitac.envs.tasks.definition import InfoView, Measure
 
-from ..episodes.records import ContactForces, EpisodeOutcome, EpisodeRecord, ForceFigures
+from ..agent.verdicts import VerdictCode
+from ..episodes.records import ContactForces, EpisodeOutcome, EpisodeRecord, FailureStage, ForceFigures, PolicyFailure
 from ..strict_model import StrictModel
-from .starts import design_effect, find_start, group_by_start
+from ..tracks.definition import EpisodeList, ShardEpisodes
+from .starts import Ways, convolve, design_effect, find_start, group_by_start
 
 
 class ForceSummary(StrictModel):
@@ -282,3 +284,114 @@ def average_shared(measured: Sequence[Mapping[str, float]]) -> dict[str, float]:
 
 def _compute_rate(records: Iterable[EpisodeRecord]) -> Rate:
     return rate_by_start((find_start(record), record.success) for record in records)
+
+
+def better_on_public_p_value(
+    starts: EpisodeList, public: Collection[EpisodeRecord], sealed: Collection[EpisodeRecord]
+) -> float:
+    """Return how likely a difference at least as large in favour of the public list is if both are equally hard.
+
+    Exact and one-sided: of all ways in which the starts of both lists could have been divided between them, for each
+    shape as many as there are, the share in which the public one has as many successes or more. A start is what is
+    divided, with all its repeats, because these are no independent episodes. With one repeat and one shape it is
+    Fisher's exact test (R. A. Fisher, The logic of inductive inference, J. R. Stat. Soc. 98 (1935) 39-82); with
+    repeats and shapes the permutation test of E. J. G. Pitman, Significance tests which may be applied to samples from
+    any populations, Suppl. J. R. Stat. Soc. 4 (1937) 119-130, within strata.
+
+    Args:
+        starts: of either list; both repeat their starts alike.
+        public: all records on the public list.
+        sealed: all records on the sealed list.
+    """
+    ours, theirs = (_successes(starts, records) for records in (public, sealed))
+    observed = sum(successes for of_shape in ours.values() for successes in of_shape)
+    ways: Ways = {0: 1}
+    for shape, of_shape in ours.items():
+        ways = convolve(ways, _choose([*of_shape, *theirs[shape]], len(of_shape)))
+    as_large = sum(count for total, count in ways.items() if total >= observed)
+    return float(Fraction(as_large, sum(ways.values())))
+
+
+def _successes(starts: EpisodeList, records: Collection[EpisodeRecord]) -> dict[str, list[int]]:
+    """Return the number of successes of each start, by shape."""
+    solved = {record.episode: record.success for record in records}
+    shapes = [start.shape for block in starts.blocks for start in block.starts]
+    counts = Counter(start for number, start in enumerate(_start_of_each_episode(starts), start=1) if solved[number])
+    by_shape: dict[str, list[int]] = {}
+    for start, shape in enumerate(shapes):
+        by_shape.setdefault(shape, []).append(counts[start])
+    return by_shape
+
+
+def _start_of_each_episode(starts: EpisodeList) -> Iterator[int]:
+    first = 0
+    for block in starts.blocks:
+        for _ in range(block.repeats):
+            yield from range(first, first + len(block.starts))
+        first += len(block.starts)
+
+
+def _choose(successes: list[int], chosen: int) -> Ways:
+    """Return the ways to choose some of the starts, by the successes of those that are chosen."""
+    ways = {(0, 0): 1}
+    for value, there in Counter(successes).items():
+        grown: Counter[tuple[int, int]] = Counter()
+        for (count, total), n in ways.items():
+            for more in range(min(there, chosen - count) + 1):
+                grown[count + more, total + more * value] += n * comb(there, more)
+        ways = dict(grown)
+    return {total: n for (count, total), n in ways.items() if count == chosen}
+
+
+FAILURES_THAT_END_A_SHARD = 3
+"""Number of policy failures in one shard that end the evaluation as failed: the policy is broken, not unlucky."""
+
+
+def is_broken(failures: Collection[PolicyFailure]) -> bool:
+    """Return whether a policy with these failures in one shard is given up."""
+    return any(map(_ends_at_once, failures)) or len(failures) >= FAILURES_THAT_END_A_SHARD
+
+
+def breaking_failure(shards: Sequence[ShardEpisodes], records: Iterable[EpisodeRecord]) -> PolicyFailure | None:
+    """Return the failure that ends an evaluation as failed, or None while the policy works well enough to be scored.
+
+    That is the first failure of the first shard that is broken, or there the one that ended it at once: a function of
+    the records and the fixed cut only, so the same for any number of workers and for a resumed evaluation.
+    """
+    failures = {record.episode: record.failure for record in records if record.failure}
+    for shard in sorted(shards, key=lambda shard: shard.index):
+        in_shard = [failures[number] for number in sorted(shard.numbers & failures.keys())]
+        if is_broken(in_shard):
+            return next(filter(_ends_at_once, in_shard), in_shard[0])
+    return None
+
+
+def _ends_at_once(failure: PolicyFailure) -> bool:
+    """Return whether no other episode of the shard could be played after this failure."""
+    return failure.stage is FailureStage.LOAD or failure.code is VerdictCode.SHARD_TIME
+
+
+ALARM_BELOW = 0.001
+"""p below which a drift is an alarm: of 40 honest teams none, of a thousand fewer than one."""
+
+
+def drift_p_value(runs: Sequence[tuple[Rate | CombinedScore, Rate | CombinedScore]]) -> float | None:
+    """Return how likely so steep a rise is if the sealed list is not learnt; None with fewer than two runs.
+
+    One-sided test of the slope of d_i, the rate on the sealed list minus that on a fresh one, over the runs i = 1..n:
+    z = sum (i - mean) d_i / sqrt(sum (i - mean)^2 v_i), with v_i from the 95 % interval of d_i. That a list is harder
+    than others moves all d_i alike and leaves the slope. As all runs share the sealed starts, z is smaller than normal.
+
+    Args:
+        runs: of one team in the order of their submission, each with its rate on the sealed list and on a fresh one.
+    """
+    if len(runs) < 2:
+        return None
+    middle = fmean(range(len(runs)))
+    slope = variance = 0.0
+    for number, (sealed, fresh) in enumerate(runs):
+        low, high = interval_of_difference(sealed, fresh)
+        weight, deviation = number - middle, (high - low) / (2 * NORMAL_QUANTILE)
+        slope += weight * (sealed.success_rate - fresh.success_rate)
+        variance += (weight * deviation) ** 2
+    return erfc(slope / sqrt(2 * variance)) / 2

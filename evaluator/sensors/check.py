@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 from vitac.envs.untrusted_file import find_spelling
 from vitac.errors import VitacError
 
-from .findings import Finding, Rule
-from .limits import SensorLimits, sensor_limits
+from .findings import Finding, Rule, SensorLimits, sensor_limits
 from .manifest import SENSOR_NAME, SensorManifest, read_sensor
 from .package import GEL_NAME, MESH_NAME
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from vitac.errors import VitacError
 
-from .limits import SensorLimits
+from .findings import SensorLimits
 
 if TYPE_CHECKING:
     from vitac.envs.sensor_design.tetrahedra import Tetrahedra

@@ -11,7 +11,7 @@ from vitac.errors import VitacError
 
 from ..strict_model import StrictModel
 from .check import CheckedSensor, accepted_sensor
-from .limits import sensor_limits
+from .findings import sensor_limits
 
 if TYPE_CHECKING:
     import numpy as np

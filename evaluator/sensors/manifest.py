@@ -9,7 +9,7 @@ from vitac.envs.untrusted_file import find_spelling, read_start
 from vitac.errors import VitacError
 
 from ..strict_model import DocumentRejected, StrictModel, parse_untrusted_yaml
-from .limits import sensor_limits
+from .findings import sensor_limits
 
 if TYPE_CHECKING:
     import numpy as np

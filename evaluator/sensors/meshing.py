@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from vitac.envs.sensor_design.surface import DrawnSurface, placed_on_base
 from vitac.envs.sensor_design.tetrahedra import BASE_PLANE_MM, Tetrahedra
 
-from .findings import Finding, Rule
-from .limits import SensorLimits
+from .findings import Finding, Rule, SensorLimits
 from .manifest import SensorManifest
 
 if TYPE_CHECKING:
@@ -116,7 +115,7 @@ class MeshCheck:
         """Return the mesh of a tet.msh with the low corner of its box where that of the base is."""
         from vitac.envs.fem.model.mesh import MeshError
         from vitac.envs.sensor_design.tetrahedra import make_gel
-        from vitac.envs.tactile.gel_files import GelFilesError, read_gmsh
+        from vitac.envs.tactile.gel import GelFilesError, read_gmsh
 
         limits = self._limits
         try:

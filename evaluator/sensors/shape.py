@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from vitac.envs.sensor_design.surface import WELDS_MM, DrawnSurface
 
-from .findings import Finding, Rule
-from .limits import SensorLimits
+from .findings import Finding, Rule, SensorLimits
 
 _SMALLEST_GEL_MM, _LARGEST_GEL_MM = 15.0, 40.0
 _SMALLEST_EXTENT_MM = 0.01

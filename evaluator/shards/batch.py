@@ -13,9 +13,8 @@ from vitac.errors import VitacError
 from ..agent.isolation.cgroup import memory_limit_bytes
 from ..agent.limits import GIB, Limits
 from ..cores import count_cores
-from ..episodes.reading import make_reading
-from ..episodes.records import EpisodeRecord
-from ..scoring.failures import is_broken
+from ..episodes.records import EpisodeRecord, make_reading
+from ..scoring.score import is_broken
 from ..submission.manifest import load_manifest
 from ..tracks import Episode
 from .order import OrderedShard, ShardEnd, ShardResult

@@ -8,9 +8,8 @@ from pathlib import Path
 from vitac.errors import VitacError
 
 from ..episodes.episode import make_environment
-from ..episodes.reading import make_reading
-from ..episodes.records import EpisodeRecord
-from ..estimator.calibration import EstimatorSession, calibrated
+from ..episodes.records import EpisodeRecord, make_reading
+from ..estimator import EstimatorSession, calibrated
 from ..figures.figures import FigureChoice, FiguresPart, StartFigures
 from ..figures.starts import Measurement, measured_episodes
 from ..sensors.made import read_design

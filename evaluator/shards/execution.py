@@ -1,26 +1,20 @@
-"""Carries out orders for shards, one after the other, in a process of their own; called by `host`.
+"""Runs a shard in this process, whatever plays it, and answers line by line."""
 
-Of an uploaded log and a 2025 text log the recorded actions are re-simulated; of the latter nothing can be verified,
-because the 2025 simulator does not reproduce itself.
-"""
-
-from collections.abc import Callable, Mapping
+import io
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from types import MappingProxyType
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Self
 
 from vitac.errors import VitacError
 
 from ..agent.isolation.packages import policy_versions
-from ..episodes.episode import Environment, MakeEnvironment, make_environment
-from ..episodes.provenance import make_manifest
-from ..episodes.reading import make_reading
-from ..episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord, Manifest
-from ..episodes.replay import Resimulated, resimulate
+from ..episodes.episode import Environment, MakeEnvironment, Resimulated, make_environment, resimulate
+from ..episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord, Manifest, make_manifest, make_reading
 from ..logs.checks import explain_impossible, must_agree
 from ..logs.findings import LogFinding
-from ..logs.log import LogReader
-from ..logs.packing import open_log
+from ..logs.log import LogReader, open_log
 from ..logs.recordings import Recording
 from ..logs.text_2025 import read_text_log, summarize
 from ..logs.text_2025.recordings import explain_not_resimulated, text_log_recordings
@@ -29,12 +23,13 @@ from ..sensors.made import read_design
 from ..submission.manifest import load_manifest
 from ..submission_kinds import SubmissionKind
 from ..tracks import Player, Task
-from ..tracks.cut import cut
+from ..tracks.definition import cut
 from ..tracks.registry import find_version
 from ..tracks.sealed import load_played_track, read_secret
 from .batch import run_batches
 from .estimator import run_estimator
-from .order import OrderedShard, ShardEnd, ShardMessage, ShardOrder, ShardResult
+from .host_process import ShardProcessFailed
+from .order import OnCalibration, OrderedShard, ShardEnd, ShardMessage, ShardOrder, ShardResult
 from .policy import LoadPolicy, Preparation, load_in_sandbox, load_remote, run_shard
 
 if TYPE_CHECKING:
@@ -232,3 +227,53 @@ RUNNERS: Mapping[SubmissionKind, Runner] = MappingProxyType(
         SubmissionKind.TEXT_LOG: lambda ordered, _, on_episode: resimulate_text_log(ordered, on_episode),
     }
 )
+
+
+class ShardHere:
+    """One shard; what is asked of it is what is asked of a `ShardProcess`."""
+
+    result: ShardResult
+
+    def __init__(self, order: ShardOrder, preparation: Preparation) -> None:
+        self._order = order
+        self._preparation = preparation
+
+    def records(self, _: OnCalibration) -> Iterator[EpisodeRecord]:
+        """Play all, then yield the records.
+
+        Raises:
+            ShardProcessFailed: the machine or the simulation broke.
+        """
+        answer = io.StringIO()
+        execute(self._order, answer, self._preparation)
+        for line in answer.getvalue().splitlines():
+            message = ShardMessage.model_validate_json(line)
+            if message.error is not None:
+                raise ShardProcessFailed(message.error)
+            if message.record is not None:
+                yield message.record
+            if message.result is not None:
+                self.result = message.result
+
+    def kill(self) -> None:
+        """Let it end by itself: it is what this process does."""
+
+
+class ShardsHere:
+    """Stands in for `ShardProcesses`, with one shard at a time."""
+
+    def __init__(self) -> None:
+        self._exits = ExitStack()
+        self._preparation = Preparation()
+
+    def __enter__(self) -> Self:
+        self._exits.enter_context(self._preparation)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._exits.close()
+
+    @contextmanager
+    def running_shard(self, order: ShardOrder) -> Iterator[ShardHere]:
+        """Give a shard that is played when its records are read."""
+        yield ShardHere(order, self._preparation)

@@ -30,8 +30,7 @@ from vitac.errors import VitacError
 
 from ..agent.isolation.packages import installed_packages
 from ..episodes.episode import make_environment
-from ..estimator.calibration import STARTS, calibrated, is_calibrated, take
-from ..estimator.regression import Coefficients
+from ..estimator import STARTS, Coefficients, calibrated, is_calibrated, take
 from ..parent_death import end_with_parent
 from ..sensors.made import read_design
 from ..tracks import Player, Task

@@ -13,17 +13,15 @@ from ..agent.limits import Limits
 from ..agent.session import Isolation, PolicySession
 from ..agent.verdicts import EpisodeCut
 from ..episodes.episode import Environment, MakeEnvironment, Session, make_environment, run_episode
-from ..episodes.provenance import make_manifest
-from ..episodes.reading import Reading, make_reading
-from ..episodes.records import EpisodeRecord, PolicyFailure
+from ..episodes.records import EpisodeRecord, PolicyFailure, Reading, make_manifest, make_reading
 from ..isolation_kinds import IsolationKind
 from ..package_sets import PackageSet
-from ..scoring.failures import is_broken
+from ..scoring.score import is_broken
 from ..submission.image import load_program
 from ..submission.manifest import load_manifest
 from ..submission_kinds import SubmissionKind
 from ..tracks import Episode, Task, Track
-from ..tracks.cut import ShardEpisodes
+from ..tracks.definition import ShardEpisodes
 from .order import ShardEnd, ShardOrder, ShardResult
 
 LoadPolicy = Callable[[Path, Limits], AbstractContextManager[Session]]

@@ -18,13 +18,12 @@ from typing import Any, BinaryIO, Final, TypeVar
 
 import msgspec
 
-from ..agent.isolation.image_program import ImageProgram
+from ..agent.isolation.gpu import ImageProgram
 from ..agent.limits import Limits
 from ..tracks import list_tracks, load_track
-from .layers import ImageFiles
+from .layers import EntryType, ImageFiles, TarEntry, damaged, read_tar
 from .manifest import ManifestRejected, SubmissionManifest, load_manifest
 from .names import MANIFEST_NAME, ArchiveFault, ArchiveRejected, listed
-from .tar_entries import EntryType, TarEntry, damaged, read_tar
 
 _PROGRAM_NAME: Final = "image.json"
 _ROOT_NAME: Final = "root"

@@ -1,26 +1,27 @@
-"""Unpacks the wheels of a submission: those of its folder `wheels/`, and those that its requirements.txt names.
-
-A wheel is a zip of files: nothing of it is run, and it follows the rules of archives. The files of all wheels together
-become one folder of the unpacked submission, so that they lie where, and are limited as, the policy's own files are.
-"""
+"""Wheels that a submission brings or names, and the registries that they are fetched from."""
 
 import hashlib
 import os
 import platform
 import re
+import secrets
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
+from http import HTTPStatus
 from pathlib import Path
-from typing import Final
+from time import monotonic
+from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
 from packaging.metadata import Metadata
 from packaging.requirements import InvalidRequirement, Requirement
 from packaging.tags import Tag, sys_tags
 from packaging.utils import InvalidWheelFilename, canonicalize_name, parse_wheel_filename
 from packaging.version import Version
+from vitac.envs.kernel_cache import cache_root
 
 from ..agent.limits import MIB, Limits
 from ..agent.runtime.agent import WHEELS_FOLDER
@@ -29,7 +30,10 @@ from ..tracks import load_track
 from .archive import ArchiveEntry, packed_files, unpacked_too_large, write
 from .manifest import load_manifest
 from .names import REQUIREMENTS_NAME, ArchiveFault, ArchiveRejected, NamedEntry, check_names, listed
-from .registries import REGISTRIES_VARIABLE, fetch_wheel
+
+if TYPE_CHECKING:
+    import httpx
+
 
 PACKED_FOLDER: Final = "wheels"
 HOUSE_VARIABLE: Final = "VITAC_WHEEL_HOUSE"
@@ -157,8 +161,6 @@ def _add(wheels: dict[str, _Wheel], wheel: _Wheel) -> None:
 
 
 # requirements.txt
-
-
 def _read_requirements(file: Path) -> list[_Requirement]:
     """Return what requirements.txt names for this Python and machine."""
     if not file.is_file():
@@ -251,8 +253,6 @@ def _open_required(required: _Requirement, limits: Limits, exits: ExitStack) -> 
 
 
 # Wheels
-
-
 @cache
 def _machine_tags() -> frozenset[Tag]:
     return frozenset(sys_tags())
@@ -332,8 +332,6 @@ def _read_metadata(entries: Iterable[ArchiveEntry], file: str) -> Metadata:
 
 
 # All of them together
-
-
 def _check_dependencies(
     wheels: Mapping[str, _Wheel], requirements: Iterable[_Requirement], shown: Mapping[str, tuple[str, ...]]
 ) -> None:
@@ -380,3 +378,109 @@ def _check_together(entries: Iterable[ArchiveEntry], submission_dir: Path, limit
         > limits.archive_unpacked_bytes
     ):
         raise unpacked_too_large(limits)
+
+
+REGISTRIES_VARIABLE: Final = "VITAC_WHEEL_REGISTRIES"
+"""Names the addresses, separated by commas; without it nothing is fetched."""
+_ACCEPT: Final = {"Accept": "application/vnd.pypi.simple.v1+json"}
+_LIST_BYTES: Final = 32 << 20
+_KEPT_BYTES: Final = 20 << 30
+_STILL_S: Final = 20.0
+_WHEEL_S: Final = 300.0
+
+
+def fetch_wheel(name: str, digests: Collection[str], is_meant: Callable[[str], bool], max_bytes: int) -> Path | None:
+    """Return the file of a wheel, from an earlier time or a registry; None where no registry has it.
+
+    Args:
+        name: of the package, as registries write it.
+        digests: SHA-256 [hex] of the files that are meant.
+        is_meant: returns whether a file of this name is a wheel of the right version, for this machine.
+        max_bytes: of the file.
+
+    Raises:
+        ArchiveRejected: a registry does not answer as one, or its wheel is too large or not as its hash says.
+    """
+    registries = [
+        each.strip().rstrip("/") for each in os.environ.get(REGISTRIES_VARIABLE, "").split(",") if each.strip()
+    ]
+    if not registries:
+        return None
+    stored = (path for digest in digests for path in (_folder() / digest).glob("*.whl"))
+    if (path := next(stored, None)) is not None:
+        os.utime(path)
+        return path
+    import httpx  # here, since nobody else needs it who checks or plays
+
+    for registry in registries:
+        try:
+            with httpx.Client(headers=_ACCEPT, follow_redirects=True, timeout=_STILL_S) as client:
+                address = httpx.URL(f"{registry}/{name}/")
+                for file_name, digest, url in _list_files(client, address):
+                    if digest in digests and is_meant(file_name):
+                        _make_room()
+                        return _fetch(client, address.join(url), file_name, digest, max_bytes)
+        except (httpx.HTTPError, httpx.InvalidURL, msgspec.DecodeError, msgspec.ValidationError) as error:
+            raise _rejected(
+                f"The registry {registry} could not be asked for {name} ({error!s:.200}). Try again later, or put its "
+                "wheel into wheels/."
+            ) from error
+    return None
+
+
+def _folder() -> Path:
+    return cache_root() / "wheels"
+
+
+def _make_room() -> None:
+    """Remove the wheels that were used longest ago, where there are too many; whoever reads one still can."""
+    sizes = {path: path.stat() for path in _folder().glob("*/*.whl")}
+    kept_bytes = sum(each.st_size for each in sizes.values())
+    for path in sorted(sizes, key=lambda path: sizes[path].st_mtime):
+        if kept_bytes <= _KEPT_BYTES:
+            return
+        path.unlink(missing_ok=True)
+        kept_bytes -= sizes[path].st_size
+
+
+def _list_files(client: "httpx.Client", address: "httpx.URL") -> Iterator[tuple[str, str, str]]:
+    """Yield name, SHA-256 and address of the files of a package; none of one that the registry does not know."""
+    with client.stream("GET", address) as answer:
+        if answer.status_code == HTTPStatus.NOT_FOUND:
+            return
+        answer.raise_for_status()
+        content = b"".join(_limited(answer, _LIST_BYTES, f"The list of {address}"))
+    for file in msgspec.json.decode(content, type=Mapping[str, Any]).get("files", ()):
+        match file:
+            case {"filename": str(name), "url": str(url), "hashes": {"sha256": str(digest)}}:
+                yield name, digest, url
+
+
+def _fetch(client: "httpx.Client", address: "httpx.URL", name: str, digest: str, max_bytes: int) -> Path:
+    """Store a wheel, whole or not at all."""
+    folder = _folder() / digest
+    folder.mkdir(parents=True, exist_ok=True)
+    part = folder / f"part-{secrets.token_hex(8)}"
+    hashed = hashlib.sha256()
+    try:
+        with client.stream("GET", address) as answer, part.open("wb") as file:
+            answer.raise_for_status()
+            for piece in _limited(answer, max_bytes, name):
+                hashed.update(piece)
+                file.write(piece)
+        if hashed.hexdigest() != digest:
+            raise _rejected(f"{name} of {address.host} has the hash {hashed.hexdigest()}, the registry said {digest}.")
+        return part.rename(folder / name)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _limited(answer: "httpx.Response", max_bytes: int, what: str) -> Iterator[bytes]:
+    deadline_s, left = monotonic() + _WHEEL_S, max_bytes
+    for piece in answer.iter_bytes():
+        left -= len(piece)
+        if left < 0:
+            raise _rejected(f"{what} is larger than {max_bytes} bytes; take another one.")
+        if monotonic() > deadline_s:
+            raise _rejected(f"{what} did not arrive within {_WHEEL_S:g} s; try again later.")
+        yield piece

@@ -20,7 +20,6 @@ from ..services import Services, open_services
 from ..settings import Settings
 from ..submissions.watch import SubmissionWatch
 from . import (
-    appeals,
     by_hand,
     competitions,
     evaluations,
@@ -36,7 +35,6 @@ from . import (
     tracks,
     uploads,
 )
-from . import rejudging as rejudgements
 from .middleware.requests import BodyLimit, RelativeRedirects, RequestHead, RequestIds, RequestTimes, Shutdown
 from .middleware.shares import Shares
 from .uploads import ProtocolVersion
@@ -154,9 +152,9 @@ def _routes() -> Sequence[BaseRoute]:
         submissions.comparisons,
         teams.router,
         members.router,
-        rejudgements.router,
+        judging.rejudging_router,
         messages.router,
-        appeals.router,
+        messages.appeals_router,
         receipts.router,
         judging.router,
         by_hand.router,

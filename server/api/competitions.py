@@ -23,7 +23,7 @@ from ..competitions.definition import CompetitionDefinition, require_known_track
 from ..competitions.view import competition_list_view, competition_view, disqualified_since_the_end
 from ..confirmations import Concern, compute_revision, require_shown
 from ..database.clock import read_clock
-from ..decisions import advancement, final_list, finishing, trial_plan
+from ..decisions import advancement, final_list, finishing, station_trials
 from ..decisions.exporting import export_receipts
 from ..decisions.publishing import archive_view, result_files
 from ..errors import ProblemCode, ServiceError
@@ -351,7 +351,7 @@ def begin_trials(
     """Plan the trials of a stage that stations play, now that it has closed, and let them begin."""
     with services.database.transaction() as session:
         over = Competition.find(session, competition, track=track).stage(track, stage)
-        return TrialsBegun(trials=trial_plan.begin(session, principal, over))
+        return TrialsBegun(trials=station_trials.begin(session, principal, over))
 
 
 @router.get("/competitions/{competition}/tracks/{track}/stages/{stage}/trials")
@@ -361,7 +361,7 @@ def list_trials(
     """List the planned trials of a stage in their order: a team's own; all for organizers, and once it is revealed."""
     with services.database.reading() as session:
         planned = Competition.find(session, competition, track=track).stage(track, stage)
-        return trial_plan.list_trials(session, principal, planned)
+        return station_trials.list_trials(session, principal, planned)
 
 
 @router.get(

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query
 from pydantic import BaseModel
 
 from ..database.states import EvaluationState
-from ..evaluations import listing, superseding
+from ..evaluations import superseding, view
 from ..evaluations.near_copies import compare_archives, list_archive_copies, list_near_copies
 from ..submissions import runs
 from ..submissions.listing import get
@@ -51,7 +51,7 @@ def list_evaluations(
     """
     conditions = [superseding.is_unserved(services.settings)] if unserved else []
     with services.database.reading() as session:
-        return listing.list_evaluations(session, *conditions, state=state, limit=limit)
+        return view.list_evaluations(session, *conditions, state=state, limit=limit)
 
 
 @router.post("/evaluations/restart-unserved")
@@ -69,14 +69,14 @@ def get_evaluation(
 ) -> EvaluationDetailView:
     """Show an evaluation with its shards, and with the episodes that were played again with another result."""
     with services.database.reading() as session:
-        return listing.show_evaluation(session, services.settings, evaluation_id)
+        return view.show_evaluation(session, services.settings, evaluation_id)
 
 
 @router.post("/evaluations/{evaluation_id}/requeue", status_code=HTTPStatus.ACCEPTED)
 def requeue_evaluation(services: ChangingServicesOf, principal: OrganizerOf, evaluation_id: UUID) -> SubmissionView:
     """Run all episodes of the same submission again; this evaluation does not change."""
     with services.database.transaction() as session:
-        submission = runs.run_again(session, principal, listing.find(session, evaluation_id).submission_id)
+        submission = runs.run_again(session, principal, view.find(session, evaluation_id).submission_id)
         return get(session, services.settings, principal, submission.id)
 
 
@@ -86,15 +86,15 @@ def cancel_evaluation(
 ) -> EvaluationDetailView:
     """Cancel an evaluation that waits or runs."""
     with services.database.transaction() as session:
-        runs.cancel_evaluation(session, principal, listing.find(session, evaluation_id))
-        return listing.show_evaluation(session, services.settings, evaluation_id)
+        runs.cancel_evaluation(session, principal, view.find(session, evaluation_id))
+        return view.show_evaluation(session, services.settings, evaluation_id)
 
 
 @router.post("/evaluations/{evaluation_id}/restart")
 def restart_evaluation(services: ChangingServicesOf, principal: OrganizerOf, evaluation_id: UUID) -> SubmissionView:
     """Restart an evaluation of another evaluator with the present one; it costs its team nothing."""
     with services.database.transaction() as session:
-        evaluation = listing.find(session, evaluation_id)
+        evaluation = view.find(session, evaluation_id)
         superseding.restart(session, principal, evaluation_id)
         return get(session, services.settings, principal, evaluation.submission_id)
 

@@ -25,7 +25,7 @@ from ..limiter import UPLOADS
 from ..names import TEXT_LENGTH
 from ..principals import Principal
 from ..services import Services
-from ..submissions import disqualification, files, listing, runs, sensors, trials, upload, withdrawal
+from ..submissions import files, listing, runs, sensors, trials, upload, withdrawal
 from ..submissions.comparison import MAX_COMPARED, compare_results
 from ..submissions.intake import AnnouncedUpload
 from ..submissions.listing import model_card
@@ -384,7 +384,7 @@ def put_disqualification(
     services: ChangingServicesOf, principal: CompetitionOrganizerOf, submission_id: UUID, wanted: Reason
 ) -> SubmissionView:
     """Take a submission off all boards (organizers only); its team takes part as before."""
-    return _show_changed(services, principal, submission_id, disqualification.disqualify, reason=wanted.reason)
+    return _show_changed(services, principal, submission_id, withdrawal.disqualify, reason=wanted.reason)
 
 
 @router.delete("/{submission_id}/disqualification")
@@ -392,7 +392,7 @@ def delete_disqualification(
     services: ChangingServicesOf, principal: CompetitionOrganizerOf, submission_id: UUID
 ) -> SubmissionView:
     """Put a disqualified submission back on the boards (organizers only)."""
-    return _show_changed(services, principal, submission_id, disqualification.reinstate)
+    return _show_changed(services, principal, submission_id, withdrawal.reinstate)
 
 
 @router.put("/{submission_id}/clearance")
@@ -400,7 +400,7 @@ def put_clearance(
     services: ChangingServicesOf, principal: CompetitionOrganizerOf, submission_id: UUID, wanted: Reason
 ) -> SubmissionView:
     """Rank a submission that was found to be a copy (organizers only)."""
-    return _show_changed(services, principal, submission_id, disqualification.clear, reason=wanted.reason)
+    return _show_changed(services, principal, submission_id, withdrawal.clear_copy, reason=wanted.reason)
 
 
 @router.delete("/{submission_id}/clearance")
@@ -408,7 +408,7 @@ def delete_clearance(
     services: ChangingServicesOf, principal: CompetitionOrganizerOf, submission_id: UUID
 ) -> SubmissionView:
     """Let what was found of a cleared submission count again (organizers only)."""
-    return _show_changed(services, principal, submission_id, disqualification.withdraw)
+    return _show_changed(services, principal, submission_id, withdrawal.withdraw_clearance)
 
 
 @router.post("/{submission_id}/requeue", status_code=HTTPStatus.ACCEPTED)

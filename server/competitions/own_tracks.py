@@ -13,7 +13,7 @@ from vitac.evaluator.episodes.episode import Environment, make_environment
 from vitac.evaluator.strict_model import DocumentRejected, read_yaml
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Episode, ListKind, Player, Task, Track, list_tracks, load_track
-from vitac.evaluator.tracks.cut import cut
+from vitac.evaluator.tracks.definition import cut
 
 CORES = 2
 """Number of cores for which the wall time is given."""

@@ -29,7 +29,7 @@ import structlog
 from psycopg import sql
 from vitac.errors import VitacError
 
-from ..state_directory import others_can_enter
+from ..settings import others_can_enter
 from .binaries import (
     NOTICE_EVERY_S,
     PostgresBinaries,

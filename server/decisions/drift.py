@@ -6,8 +6,7 @@ from itertools import groupby
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session, defer
-from vitac.evaluator.scoring.drift import ALARM_BELOW, drift_p_value
-from vitac.evaluator.scoring.score import CombinedScore
+from vitac.evaluator.scoring.score import ALARM_BELOW, CombinedScore, drift_p_value
 
 from ..competitions.stages import Stage
 from ..database.models import Evaluation, Submission, Team

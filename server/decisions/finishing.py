@@ -1,12 +1,13 @@
-"""The end of a competition: winners by the prize table, and the boards as they are then."""
+"""The end of a competition: what is unsettled before it, who wins, and reopening it."""
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from functools import partial
 from typing import Any
 
+from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from .. import names
@@ -17,6 +18,7 @@ from ..competitions.definition import TrackRules
 from ..competitions.stages import Stage
 from ..confirmations import Concern, require_confirmed
 from ..database.clock import read_clock
+from ..database.models import Evaluation, Rejudgement
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.history import require_current, require_scored
 from ..leaderboards.standings import leaderboard
@@ -24,14 +26,13 @@ from ..principals import CONSOLE, Principal
 from ..receipts.export import make_final_board
 from ..receipts.receipt import End, JudgedEntry, WinningEntry
 from ..receipts.witnesses import require_witnessed
-from ..submissions.appeals import end_with_competition
+from ..submissions.appeals import end_with_competition, open_in_competition
 from ..tracks import known_track
 from ..transparency.log import append
 from ..views.leaderboards import LeaderboardEntryView, LeaderboardView
 from . import entered_results
 from .audit_digests import append_audit_digest
 from .judging import judged, ranked_by_total
-from .unsettled import unsettled
 
 FINALIZE_AGAIN = "competition.finalize_again"
 """The action in the audit log; its lines keep the winners and boards that were replaced."""
@@ -346,4 +347,50 @@ def _require_track_files(competition: Competition) -> None:
             ProblemCode.UNKNOWN_TRACK,
             f"Expected a track file of each track of the competition, got none of {', '.join(missing)}; put it back as "
             "it was at the end. Nothing was changed.",
+        )
+
+
+def unsettled(competition: Competition, now: datetime) -> list[Concern]:
+    """Return what would be settled by the end alone: appeals, their time, rejudgements, boards without a rank."""
+    return [*_appeals(competition), *_appeal_time(competition, now), *_rejudgements(competition), *_boards(competition)]
+
+
+def _appeals(competition: Competition) -> Iterator[Concern]:
+    if waiting := open_in_competition(competition.session, competition):
+        listed = ", ".join(f"{one.id} of {one.team.name}" for one in waiting)
+        yield Concern(
+            name="open_appeals", sentence=f"No ruling was made on appeals {listed}; they are rejected with the end."
+        )
+
+
+def _appeal_time(competition: Competition, now: datetime) -> Iterator[Concern]:
+    days = competition.definition.appeal_days
+    in_competition = competition.submissions, Evaluation.is_proposed.is_(False)
+    query = select(func.max(Evaluation.finished_at)).join(Evaluation.submission).where(*in_competition)
+    last = competition.session.scalar(query)
+    if days is not None and last is not None and (until := last + timedelta(days=days)) > now:
+        yield Concern(
+            name="appeal_time", sentence=f"Teams may appeal until {until:%F %T} UTC; with the end they no longer can."
+        )
+
+
+def _rejudgements(competition: Competition) -> Iterator[Concern]:
+    waiting = Rejudgement.applied_at.is_(None), Rejudgement.discarded_at.is_(None)
+    in_competition = Rejudgement.competition == competition.name, Rejudgement.stage != ""
+    rejudgements = competition.session.scalars(
+        select(Rejudgement).where(*in_competition, *waiting).order_by(Rejudgement.started_at)
+    ).all()
+    if rejudgements:
+        listed = ", ".join(f"{one.id} of stage {one.stage} of {one.track}" for one in rejudgements)
+        yield Concern(name="rejudgements", sentence=f"Rejudgements {listed} are neither applied nor discarded.")
+
+
+def _boards(competition: Competition) -> Iterator[Concern]:
+    boards = [leaderboard(competition.session, stage, live=True).view for stage in competition.stages_held_here]
+    unranked = [board for board in boards if board.entries and all(entry.rank is None for entry in board.entries)]
+    if unranked:
+        listed = ", ".join(f"stage {board.stage} of {board.track}" for board in unranked)
+        yield Concern(
+            name="boards_without_ranks",
+            sentence=f"No entry on the board of {listed} has a rank: another evaluator version made them; rejudge.",
         )

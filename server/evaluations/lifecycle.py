@@ -11,11 +11,10 @@ from vitac.envs.tasks.definition import Family
 from vitac.errors import VitacError
 from vitac.evaluator.episodes.records import EpisodeRecord, PolicyFailure, result_hash
 from vitac.evaluator.logs.findings import LogFinding
-from vitac.evaluator.scoring.failures import breaking_failure
-from vitac.evaluator.scoring.score import score
+from vitac.evaluator.scoring.score import breaking_failure, score
 from vitac.evaluator.shards.order import ShardEnd, ShardResult
 from vitac.evaluator.tracks import ListKind, load_track
-from vitac.evaluator.tracks.cut import cut
+from vitac.evaluator.tracks.definition import cut
 from vitac.evaluator.tracks.registry import compute_hash, find_version
 
 from ..accounts.outbox import announce_evaluation

@@ -8,8 +8,16 @@ from typing import Any
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeRecord, Manifest, result_hash
 from vitac.evaluator.ranking import Ranking
-from vitac.evaluator.scoring.lists import better_on_public_p_value
-from vitac.evaluator.scoring.score import CombinedScore, Interval, Rate, Score, combine, interval_of_difference, score
+from vitac.evaluator.scoring.score import (
+    CombinedScore,
+    Interval,
+    Rate,
+    Score,
+    better_on_public_p_value,
+    combine,
+    interval_of_difference,
+    score,
+)
 from vitac.evaluator.tracks import Track
 
 from ..competitions.competition import find_stage

@@ -1,4 +1,4 @@
-"""Makes the view of an evaluation out of its rows; called where submissions and evaluations are shown."""
+"""Views of evaluations, one or a list, as everybody or their team may see them."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -6,29 +6,35 @@ from functools import cache
 from typing import Self
 from uuid import UUID
 
-from sqlalchemy import select
-from sqlalchemy.orm import Session
+from sqlalchemy import ColumnElement, select
+from sqlalchemy.orm import Session, defer, joinedload
 from vitac.evaluator.package_sets import digest_of_packages
 from vitac.evaluator.tracks import ListKind
 
 from ..cache import Cache
-from ..database.models import EpisodeResult, Evaluation
+from ..database.models import EpisodeResult, Evaluation, Shard, Submission
 from ..database.states import ACTIVE_EVALUATION_STATES, TERMINAL_EVALUATION_STATES, EvaluationState, WorkState
-from ..principals import Principal
-from ..queue.workers import WorkersAlive
+from ..errors import not_found
+from ..principals import CONSOLE, Principal
+from ..queue.workers import WorkersAlive, fleet
+from ..settings import Settings
 from ..tracks import known_task
 from ..views.evaluations import (
     DifferingEpisodeView,
+    EvaluationDetailView,
+    EvaluationRowView,
     EvaluationSummaryView,
     EvaluationView,
     PackagesView,
     ProgressView,
+    ShardView,
     VerdictView,
 )
 from ..views.scores import TaskScoreView
 from ..visibility import decide_sight, played_list_kind
+from .copies import count_copied_episodes
 from .episode_store import EpisodeKey, find_shown_key
-from .history import differing_episodes
+from .history import count_differing_episodes, differing_episodes
 from .lifecycle import LOG_TAIL_CHARACTERS
 from .progress import (
     EpisodeCounts,
@@ -44,6 +50,7 @@ from .provenance import isolation_levels
 from .scores import (
     bounds,
     combine_scores,
+    combined_score,
     counted_tasks,
     played_score,
     practice_score_views,
@@ -257,3 +264,67 @@ def _output(session: Session, evaluation: Evaluation) -> str:
         .limit(1)
     )
     return (tail or "")[-LOG_TAIL_CHARACTERS:]
+
+
+def find(session: Session, evaluation_id: UUID) -> Evaluation:
+    """Return the evaluation of that id.
+
+    Raises:
+        ServiceError: there is none.
+    """
+    evaluation = session.get(Evaluation, evaluation_id)
+    if evaluation is None:
+        raise not_found("evaluation", evaluation_id)
+    return evaluation
+
+
+def list_evaluations(
+    session: Session, *conditions: ColumnElement[bool], state: EvaluationState | None = None, limit: int
+) -> list[EvaluationRowView]:
+    """Return the newest evaluations (in a state, on conditions), newest first."""
+    query = (
+        select(Evaluation, count_differing_episodes(), count_copied_episodes())
+        .options(defer(Evaluation.log_tail), joinedload(Evaluation.submission).joinedload(Submission.team))
+        .where(*conditions)
+        .order_by(Evaluation.created_at.desc(), Evaluation.id)
+        .limit(limit)
+    )
+    if state is not None:
+        query = query.where(Evaluation.state == state)
+    return [_row(evaluation, differing, copied) for evaluation, differing, copied in session.execute(query)]
+
+
+def show_evaluation(session: Session, settings: Settings, evaluation_id: UUID) -> EvaluationDetailView:
+    """Return an evaluation with its shards.
+
+    Raises:
+        ServiceError: there is none.
+    """
+    evaluation = find(session, evaluation_id)
+    workers = fleet(session, settings).alive
+    rows = EvaluationRows.read(session, [evaluation], CONSOLE, with_output=True)
+    return EvaluationDetailView(
+        **dict(evaluation_view(evaluation, workers, rows)),
+        submission_id=evaluation.submission_id,
+        team=evaluation.submission.team.name,
+        track=evaluation.submission.track,
+        shards=[_shard(shard) for shard in evaluation.shards],
+    )
+
+
+def _row(evaluation: Evaluation, differing: int, copied: int) -> EvaluationRowView:
+    combined = combined_score(evaluation)
+    return EvaluationRowView.from_row(
+        evaluation,
+        team=evaluation.submission.team.name,
+        track=evaluation.submission.track,
+        success_rate=combined.success_rate if combined else None,
+        mean_steps=combined.mean_steps if combined else None,
+        verdict=verdict_view(evaluation),
+        differing_episodes=differing,
+        copied_episodes=copied,
+    )
+
+
+def _shard(shard: Shard) -> ShardView:
+    return ShardView.model_validate(shard, from_attributes=True)

@@ -13,7 +13,7 @@ from socket import socket
 from typing import Final
 from urllib.parse import unquote
 
-from vitac.evaluator.remote.relay import BEGIN, PLAY, WAITING, join
+from vitac.evaluator.remote.line import BEGIN, PLAY, WAITING, join
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode

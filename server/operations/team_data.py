@@ -36,7 +36,7 @@ from ..evaluations.history import histories
 from ..principals import Principal
 from ..settings import Settings
 from ..submissions.appeals import appeal_view
-from ..submissions.view import submission_views
+from ..submissions.listing import submission_views
 from ..submissions.withdrawal import REMOVED, erase_output
 from ..views.team_data import TeamDataView
 from ..views.teams import AuditEntryView

@@ -1,14 +1,10 @@
-"""The queue: rows of work, claimed by one statement under leases with fencing tokens, swept when a worker is lost.
+"""The queue of work: its kinds with priority and share, and how workers claim, renew and finish it."""
 
-A row is all there is to know of a piece of work: whether it waits, who works on it and until when. Each claim raises
-its token, and every later statement names it, so a worker that was paused, and whose work went to another one, no
-longer changes anything: its next statement raises `LeaseLost`.
-"""
-
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
 from functools import partial
+from types import MappingProxyType
 from typing import Any
 from uuid import UUID
 
@@ -28,28 +24,31 @@ from ..database.models import Work
 from ..database.states import OPEN_WORK_STATES, RepeatCause, WorkKind, WorkState
 from ..settings import Settings
 from ..views.evaluations import RepeatView
-from .kinds import KINDS
 
 logger = structlog.get_logger(__name__)
 
+
 CHANNEL = "vitac_work"
 """On which the database tells workers that something waits."""
+
 
 UNPLANNED = " unplanned"
 """At the end of what a trial requires that waits for its plan: no worker has it."""
 _AT = " at "
 
+
 SHARED_OVER_S = 300.0
 """Time over which shares are measured [s]."""
+
 
 RETRY_DELAY_S = 2.0
 """Pause before the second attempt of work that a machine could not do; the third comes after twice as long."""
 _GROWTH, _LONGEST_DELAY_S = 1.5, 600.0
 """Later pauses grow, so that a station which is out of order for an hour ends no evaluation."""
 
+
 IDLE_LIMIT = "10s"
 """The database ends a sweep whose process does nothing for this time, and another one takes over."""
-
 _CLAIM = text("""
     UPDATE work
     SET state = 'running', token = token + 1, attempts = attempts + 1, worker_id = :worker,
@@ -77,7 +76,6 @@ _CLAIM = text("""
     )
     RETURNING id, kind, owner, token, attempts, CAST(extract(epoch FROM started_at - queued_at) AS double precision)
 """)
-
 _HAS_BESIDE = text("""
     SELECT EXISTS (
         SELECT FROM work taken JOIN work beside ON beside.kind = 'shard' AND beside.owner = taken.owner
@@ -86,7 +84,6 @@ _HAS_BESIDE = text("""
     )
 """)
 """Whether a team's shard was taken at the same moment as one of the other kind of list."""
-
 _OVER_SHARE = text("""
     SELECT shared.kind
     FROM unnest(CAST(:kinds AS text[]), CAST(:shares AS double precision[]), CAST(:limits AS double precision[]))
@@ -458,3 +455,36 @@ def _interval(seconds: float) -> Any:
 def lost(claim: Claim) -> LeaseLost:
     """Return the refusal of whoever no longer holds a piece of work."""
     return LeaseLost(f"The {claim.kind} {claim.work_id} is no longer held under token {claim.token}.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """How work of a kind is shared out, and what it may take.
+
+    Attributes:
+        priority: the lowest of what waits goes first.
+        share: part of the time of all slots up to which it goes by its priority; what is over its share goes after
+            all others. None: without limit.
+        one_per_owner: whether only one piece of an owner runs at a time (`uq_work_place` holds it).
+        limit_s: time of one attempt [s]; None: as long as it progresses.
+        free_repeats: how many attempts do not count that a lost worker or a broken machine ended.
+    """
+
+    priority: int
+    share: float | None = None
+    one_per_owner: bool = False
+    limit_s: float | None = None
+    free_repeats: int = 0
+
+
+KINDS: Mapping[WorkKind, Kind] = MappingProxyType(
+    {
+        WorkKind.SENSOR_CHECK: Kind(priority=1, share=0.25, one_per_owner=True, limit_s=60.0),
+        WorkKind.REPLAY: Kind(priority=2, share=0.1, limit_s=1800.0),
+        WorkKind.PLAYBACK: Kind(priority=3, share=0.25, limit_s=600.0),
+        # A killed agent or a device with a fault says nothing about the policy.
+        WorkKind.TRIAL: Kind(priority=4, free_repeats=20),
+        WorkKind.SHARD: Kind(priority=5),
+    }
+)
+"""Every kind. Short work that people wait for goes first, within its share; evaluations have the rest, at least 0.4."""

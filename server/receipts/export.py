@@ -20,7 +20,7 @@ from uuid import UUID
 from pydantic import BaseModel, Field, ValidationError
 from vitac.errors import VitacError
 from vitac.evaluator.episodes.records import canonical_json
-from vitac.evaluator.logs.packing import MAX_UNPACKED_BYTES
+from vitac.evaluator.logs.log import MAX_UNPACKED_BYTES
 from vitac.evaluator.sensors.made import MAX_BYTES as MAX_SENSOR_BYTES
 from vitac.evaluator.strict_model import StrictModel, explain
 from vitac.evaluator.submission_kinds import SubmissionKind

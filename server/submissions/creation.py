@@ -22,11 +22,10 @@ from ..evaluations import lifecycle
 from ..principals import Principal
 from ..receipts.issuing import issue_for_submission
 from ..settings import Quotas
-from .disqualification import require_qualified
 from .files import add_files
 from .intake import AnnouncedUpload, CheckedUpload, check_file_name
 from .runs import next_run, require_machines_hold
-from .withdrawal import take_back
+from .withdrawal import require_qualified, take_back
 
 EVALUATION_QUOTAS = (Quota.QUEUED_AT_ONCE, Quota.ATTEMPTS_PER_DAY, Quota.SCORED_RUNS_PER_DAY, Quota.STORED_MIB)
 DEFAULT_QUOTAS = Quotas()

@@ -14,10 +14,9 @@ from typing import Final
 
 from vitac.evaluator.agent.verdicts import EpisodeCut, PolicyFailed
 from vitac.evaluator.logs.findings import LogFinding
-from vitac.evaluator.remote.connection_test import BlankAnswer, test_connection
 from vitac.evaluator.remote.description import DIALS_IN, RemoteProtocol, RemoteServer
-from vitac.evaluator.remote.line import AddressInvalid
-from vitac.evaluator.remote.relay import inner_address
+from vitac.evaluator.remote.line import AddressInvalid, inner_address
+from vitac.evaluator.remote.session import BlankAnswer, test_connection
 from vitac.evaluator.sensors.manifest import SensorRejected
 from vitac.evaluator.sensors.package import design_document
 from vitac.evaluator.submission.archive import unpack

@@ -6,8 +6,7 @@ from collections.abc import Iterable, Iterator
 from vitac.evaluator.episodes.records import EpisodeRecord, Manifest
 from vitac.evaluator.logs.checks import explain_impossible, known_without_running
 from vitac.evaluator.logs.findings import Impossibility, ImpossibleReason
-from vitac.evaluator.logs.log import LogReader, LogRejected
-from vitac.evaluator.logs.packing import UnpackFailed, open_log
+from vitac.evaluator.logs.log import LogReader, LogRejected, UnpackFailed, open_log
 from vitac.evaluator.logs.text_2025 import Script, TextLog, TextLogRejected, read_text_log, summarize
 from vitac.evaluator.logs.text_2025.recordings import explain_not_resimulated, track_and_task_names
 from vitac.evaluator.submission_kinds import SubmissionKind

@@ -1,8 +1,4 @@
-"""A team takes its own submission back, or deletes what it uploaded. Called by API and command.
-
-Withdrawn is like disqualified, by the team itself: on no board, for nobody to see, and what it has used of quotas stays
-used. Uploading the same content again, or `restore`, puts it back. Nothing changes once a competition is final.
-"""
+"""Takes submissions off all boards: withdrawn by their team, or disqualified by an organizer."""
 
 from uuid import UUID
 
@@ -10,16 +6,19 @@ from sqlalchemy import ColumnElement, delete, exists, select, update
 from sqlalchemy.orm import Session, aliased
 from vitac.evaluator.episodes.records import EpisodeRecord
 
+from .. import names
+from ..accounts.teams import REASON_LENGTH
 from ..audit import record
 from ..competitions.competition import Competition
 from ..database.clock import read_clock
 from ..database.models import BoardResult, EpisodeResult, Evaluation, Submission, SubmissionFile
 from ..database.states import ACTIVE_EVALUATION_STATES
 from ..errors import ProblemCode, ServiceError
+from ..evaluations.copies import list_completed, mark_copy
 from ..evaluations.history import newest_evaluation
 from ..evaluations.lifecycle import cancel
 from ..principals import Principal
-from ..visibility import changeable
+from ..visibility import changeable, visible
 
 REMOVED = "(removed by its team)"
 
@@ -152,3 +151,95 @@ def _lock(session: Session, by: Principal, submission_id: UUID) -> Submission:
     session.execute(select(Submission.id).where(Submission.id == submission.id).with_for_update(key_share=True))
     session.refresh(submission, ["withdrawn_at", "erased_at"])
     return submission
+
+
+def disqualify(session: Session, by: Principal, submission_id: UUID, reason: str) -> None:
+    """Take the results of a submission off all boards, also those that it gets later; its team reads the reason.
+
+    Raises:
+        ServiceError: not an organizer, there is no such submission, the reason cannot be shown, or it is disqualified
+            already.
+    """
+    submission = _lock_for_organizer(session, by, submission_id)
+    shown = names.clean(reason, what="A reason", min_length=2, max_length=REASON_LENGTH)
+    require_qualified(submission)
+    submission.disqualified_at, submission.disqualified_for = read_clock(session), shown
+    mark_results(session, submission)
+    subject = f"submission:{submission.id}"
+    record(session, by, "submission.disqualify", subject, {"reason": shown}, before={"reason": None})
+
+
+def reinstate(session: Session, by: Principal, submission_id: UUID) -> None:
+    """Put the results of a disqualified submission back on the boards; doing it again changes nothing.
+
+    Raises:
+        ServiceError: not an organizer, or there is no such submission.
+    """
+    submission = _lock_for_organizer(session, by, submission_id)
+    if submission.disqualified_at is not None:
+        before = {"reason": submission.disqualified_for}
+        submission.disqualified_at = submission.disqualified_for = None
+        mark_results(session, submission)
+        record(session, by, "submission.reinstate", f"submission:{submission.id}", {"reason": None}, before=before)
+
+
+def require_qualified(submission: Submission) -> None:
+    """Refuse what is disqualified.
+
+    Raises:
+        ServiceError: submission_disqualified.
+    """
+    if submission.disqualified_at is not None:
+        raise ServiceError(
+            ProblemCode.SUBMISSION_DISQUALIFIED,
+            f"Submission {submission.id} is disqualified: {submission.disqualified_for}. Ask the organizers.",
+        )
+
+
+def _lock_for_organizer(session: Session, by: Principal, submission_id: UUID) -> Submission:
+    by.require_organizer(by.competition)
+    submission = visible(session, by, submission_id)
+    session.execute(select(Submission.id).where(Submission.id == submission.id).with_for_update(key_share=True))
+    session.refresh(submission, ["disqualified_at", "disqualified_for", "copy_cleared_at", "copy_cleared_for"])
+    return submission
+
+
+def clear_copy(session: Session, by: Principal, submission_id: UUID, reason: str) -> None:
+    """Rank a submission whatever it is alike to, now and when it is evaluated again; its team reads the reason.
+
+    Raises:
+        ServiceError: not an organizer, there is no such submission, the reason cannot be shown, or it is cleared
+            already.
+    """
+    submission = _lock_for_organizer(session, by, submission_id)
+    shown = names.clean(reason, what="A reason", min_length=2, max_length=REASON_LENGTH)
+    if submission.copy_cleared_at is not None:
+        raise ServiceError(
+            ProblemCode.INVALID_REQUEST,
+            f"Submission {submission.id} is cleared already: {submission.copy_cleared_for}",
+        )
+    submission.copy_cleared_at, submission.copy_cleared_for = read_clock(session), shown
+    _mark_copies(session, submission)
+    record(session, by, "submission.clear", f"submission:{submission.id}", {"reason": shown}, before={"reason": None})
+
+
+def withdraw_clearance(session: Session, by: Principal, submission_id: UUID) -> None:
+    """Let what was found of a cleared submission count again; doing it again changes nothing.
+
+    Raises:
+        ServiceError: not an organizer, or there is no such submission.
+    """
+    submission = _lock_for_organizer(session, by, submission_id)
+    if submission.copy_cleared_at is not None:
+        before = {"reason": submission.copy_cleared_for}
+        submission.copy_cleared_at = submission.copy_cleared_for = None
+        _mark_copies(session, submission)
+        record(
+            session, by, "submission.withdraw-clearance", f"submission:{submission.id}", {"reason": None}, before=before
+        )
+
+
+def _mark_copies(session: Session, submission: Submission) -> None:
+    session.flush()
+    for evaluation in list_completed(session, submission.id):
+        mark_copy(session, evaluation)

@@ -15,8 +15,8 @@ from vitac.envs.geometry.keys_and_locks import KEYS, LOCKS, OWN_CLEARANCE, KeySh
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import Clocks, PhysicsSettings, Stopwatch
 from vitac.envs.scene.gripper import GripperPose
-from vitac.envs.tasks.fusion_insertion.scene import START_GAP_MM as FUSION_GAP_MM
-from vitac.envs.tasks.fusion_insertion.scene import (
+from vitac.envs.tasks.fusion_insertion.env import START_GAP_MM as FUSION_GAP_MM
+from vitac.envs.tasks.fusion_insertion.env import (
     Z_TARGET_MM,
     FusionInsertionSettings,
     FusionOffset,
@@ -26,10 +26,10 @@ from vitac.envs.tasks.fusion_insertion.scene import (
     RigVariation,
     Target,
 )
+from vitac.envs.tasks.insertion.env import InsertionScene
 from vitac.envs.tasks.insertion.interface import PegOffset
-from vitac.envs.tasks.insertion.scene import InsertionScene
-from vitac.envs.tasks.lock_opening.scene import KeyOffset, LockOpeningSettings, LockScene, LockStart, SensorJitter
-from vitac.envs.tasks.peg_insertion.scene import PegInsertionSettings, PegScene, PegStart
+from vitac.envs.tasks.lock_opening.env import KeyOffset, LockOpeningSettings, LockScene, LockStart, SensorJitter
+from vitac.envs.tasks.peg_insertion.env import PegInsertionSettings, PegScene, PegStart
 from vitac.envs.vision.camera import Sight
 from vitac.envs.vision.pinhole import RigShift
 

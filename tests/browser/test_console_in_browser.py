@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, expect
 from scripted_policies import Scripted
-from vitac.evaluator.episodes.reading import make_reading
-from vitac.evaluator.episodes.records import HelpKind
+from vitac.evaluator.episodes.records import HelpKind, make_reading
 from vitac.evaluator.strict_model import validate
 from vitac.evaluator.tracks import Episode, load_track
 from vitac.station.console.server import ConsoleServer

@@ -23,7 +23,7 @@ from starlette.responses import HTMLResponse
 from submission_steps import make_worker
 from vitac.evaluator.tracks import find_task
 from vitac.server.database.states import WorkState
-from vitac.web.pages.episodes.page import player_script
+from vitac.web.pages.episodes import player_script
 from waiting import resize, until, wait_for_rest
 
 pytestmark = pytest.mark.slow(minutes=3)

@@ -1,4 +1,4 @@
-"""Demonstrations, the file that holds those of a task, and collecting them.
+"""Demonstrations, the file that holds those of a task, and collecting them of an expert or of a submission's policy.
 
 A demonstration is what is needed to play it again, and what was found: seed, actions and state hashes. What was seen is
 not stored, because it follows from these (`frames`).
@@ -11,23 +11,101 @@ from enum import StrEnum
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import Any, BinaryIO, Literal
+from types import TracebackType
+from typing import Any, BinaryIO, Literal, Self
 
 import numpy as np
 from pydantic import Field, NonNegativeInt, PositiveInt, ValidationError
 from vitac.errors import VitacError
-from vitac.evaluator.episodes.provenance import make_manifest
-from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, Manifest, StateHash, canonical_json
+from vitac.evaluator.agent.limits import Limits
+from vitac.evaluator.agent.verdicts import PolicyFailed
+from vitac.evaluator.episodes.episode import Session, make_environment, open_episode, public_part
+from vitac.evaluator.episodes.records import (
+    ActionSequence,
+    EpisodeOutcome,
+    Manifest,
+    StateHash,
+    canonical_json,
+    make_manifest,
+    make_reading,
+)
+from vitac.evaluator.shards.policy import load_in_sandbox
 from vitac.evaluator.strict_model import StrictModel, Word
+from vitac.evaluator.submission.manifest import load_manifest
 from vitac.evaluator.submission.sources import staged, submission_digest
-from vitac.evaluator.tracks import Task, find_task, list_tracks, load_track
+from vitac.evaluator.tracks import Task, Track, find_task, list_tracks, load_track
 
 from ..files import not_saved
 from ..folder_lock import hold_folder
 from ..pool import map_in_order
 from ..streams import Use, stream
-from .expert import PLANS, Expert, ExpertPlan, add_noise
-from .policy_play import PolicyPlayer
+from .expert import PLANS, Expert, ExpertPlan, Rollout, add_noise
+
+
+class PolicyStopped(VitacError):
+    """The policy failed in an episode; `vitac evaluate` says how often it does."""
+
+
+class PolicyPlayer:
+    """Plays a task by a policy, which each process that plays loads once.
+
+    Args:
+        track: of the task.
+        task: that is played.
+        submission: folder of the unpacked submission.
+    """
+
+    def __init__(self, track: Track, task: Task, submission: Path) -> None:
+        self._reading = make_reading(task, load_manifest(submission).observation_keys)
+        self.env: Any = make_environment(task, None, self._reading.sent)
+        self._track, self._task, self._submission = track, task, submission
+        self._exits = ExitStack()
+        self._session: Session | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._exits.close()
+
+    def play(self, options: Mapping[str, Any], *, spread: float, random: np.random.Generator) -> Rollout:
+        """Play an episode.
+
+        Args:
+            options: of `reset`.
+            spread: standard deviation of what is added to every number of an action.
+            random: draws it.
+
+        Raises:
+            PolicyStopped: the policy failed.
+            SandboxFailed: this machine cannot isolate it.
+        """
+        observation, info = self.env.reset(options=options)
+        actions, state_hashes, total_reward = [], [self.env.state_hash()], 0.0
+        try:
+            with open_episode(self._load(), self._task, self._reading) as policy:
+                while info["end_reason"] is None:
+                    action = policy.act(public_part(self._task, self._reading, observation))
+                    noisy = action + spread * random.standard_normal(len(action))
+                    actions.append(np.asarray(np.clip(noisy, -1.0, 1.0), dtype=np.float32))
+                    observation, reward, _, _, info = self.env.step(actions[-1])
+                    state_hashes.append(self.env.state_hash())
+                    total_reward += float(reward)
+        except PolicyFailed as failure:
+            raise PolicyStopped(f"The policy failed with {dict(options)}: {failure}") from failure
+        return Rollout(
+            info=info, actions=np.array(actions), state_hashes=tuple(state_hashes), total_reward=total_reward
+        )
+
+    def _load(self) -> Session:
+        if self._session is None:
+            session = load_in_sandbox(self._submission, Limits(), self._track.packages)
+            self._session = self._exits.enter_context(session)
+        self._session.begin_shard()
+        return self._session
+
 
 FILE = "demonstrations.jsonl"
 """Name of the file in the folder of a task."""

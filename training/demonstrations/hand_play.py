@@ -14,8 +14,7 @@ from vitac.envs.scene.perspective import Perspective
 from vitac.envs.tasks.definition import Family
 from vitac.errors import VitacError
 from vitac.evaluator.episodes.episode import make_environment
-from vitac.evaluator.episodes.provenance import make_manifest
-from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome
+from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, make_manifest
 from vitac.evaluator.tracks import find_task
 
 from ..streams import Use, stream

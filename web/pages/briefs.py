@@ -14,7 +14,7 @@ from vitac.server.errors import ServiceError
 from vitac.server.principals import Audience
 from vitac.server.views.by_hand import BriefView
 
-from ..session.file_form import read_file_form
+from ..session import read_file_form
 from ..site import Viewer, get_site, page, require_form_token, require_viewer
 from .forms import fetch
 

@@ -13,7 +13,7 @@ from vitac.server.accounts import messages
 from vitac.server.competitions.competition import Competition
 from vitac.server.competitions.view import competition_list_view, competition_view
 from vitac.server.database.states import OPEN_WORK_STATES
-from vitac.server.decisions import entered_results, live_trials, trial_plan, trial_results
+from vitac.server.decisions import entered_results, station_trials
 from vitac.server.decisions.publishing import archive_view
 from vitac.server.leaderboards.descriptions import descriptions_among
 from vitac.server.leaderboards.public_pages import public_among
@@ -91,15 +91,15 @@ async def trials(request: Request) -> Response:
     def read(session: Session) -> dict[str, Any]:
         held = Competition.find(session, named["competition"], track=named["track"])
         stage = held.stage(named["track"], named["stage"])
-        own = trial_plan.list_trials(session, by, stage)
-        places = trial_plan.planned_trials(session, stage)
+        own = station_trials.list_trials(session, by, stage)
+        places = station_trials.planned_trials(session, stage)
         return {
             "stage": stage.rules,
             "count": len(places),
             "over": sum(trial.state not in OPEN_WORK_STATES for trial in places),
             "places": own,
-            "results": trial_results.summarize(session, by, stage),
-            "twins": trial_plan.read_twins(session),
+            "results": station_trials.summarize(session, by, stage),
+            "twins": station_trials.read_twins(session),
             "sees_all": by.organizes(stage.competition) or stage.is_revealed,
         }
 
@@ -118,7 +118,7 @@ async def live_picture(request: Request) -> Response:
     """Answer with what a station's cameras saw in a running trial, later by the organizer's delay."""
     named = request.path_params
     shown = await get_site(request).ask(
-        lambda session: live_trials.find_picture(
+        lambda session: station_trials.find_picture(
             session, named["competition"], named["track"], named["stage"], named["station"]
         )
     )

@@ -15,7 +15,7 @@ from vitac.server.api.problems import refusal_of_failure
 from vitac.server.errors import ProblemCode, ServiceError
 
 from ..headers import HEADERS
-from ..session.signer import COOKIE
+from ..session import COOKIE
 from ..site import SignInNeeded, Viewer, get_viewer, page, sign_in_first
 
 Handler = Callable[[Request, Exception], Response | Awaitable[Response]]

@@ -33,7 +33,7 @@ from ..rendering import STATIC
 from ..site import Site, get_site, get_viewer, page
 from .addresses import board_address, board_query, competition_address
 from .competition import list_countdowns
-from .episodes.page import player_script
+from .episodes import player_script
 from .tracks import find_scene
 
 NEWS = 5

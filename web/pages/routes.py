@@ -10,7 +10,7 @@ from starlette.datastructures import Headers
 from starlette.responses import FileResponse, Response
 from starlette.staticfiles import StaticFiles
 from starlette.types import Scope
-from vitac.server.api import appeals, by_hand, competitions, judging, members, rejudging
+from vitac.server.api import by_hand, competitions, judging, members
 from vitac.server.api import messages as correspondence
 from vitac.server.api import submissions as submission_routes
 from vitac.server.api import teams as team_routes
@@ -24,24 +24,20 @@ from . import (
     briefs,
     competition,
     desk,
-    desk_competitions,
-    desk_teams,
+    episodes,
     errors,
+    files,
     home,
+    leaderboards,
     messages,
     service,
+    teams,
     tracks,
     trial,
 )
-from .episodes import embedded
-from .episodes import page as episodes
-from .files import boards
-from .files import submissions as tables
-from .files.formats import TableFormat
+from .files import TableFormat
 from .forms import form
-from .leaderboards import leaderboard
-from .submissions import comparison, output, sensors, sharing, submissions, upload
-from .teams import sign_in, team
+from .submissions import comparison, sensors, submissions, upload
 
 UPLOADS = (("POST", upload.ADDRESS), ("POST", briefs.OWN))
 """Pages that take uploads, which have limits of their own."""
@@ -85,9 +81,9 @@ FORMS: Mapping[str, Page] = MappingProxyType(
     {
         f"{_COMPETITION}/freeze": form(competitions.freeze),
         f"{_COMPETITION}/unfreeze": form(competitions.unfreeze),
-        f"{_DESK}/finalize": form(competitions.finalize, values=desk_competitions.read_confirmed),
+        f"{_DESK}/finalize": form(competitions.finalize, values=desk.read_confirmed),
         f"{_DESK}/reopen": form(competitions.reopen),
-        f"{_STAGE}/advance": form(competitions.confirm_advancement, values=desk_competitions.read_advancement),
+        f"{_STAGE}/advance": form(competitions.confirm_advancement, values=desk.read_advancement),
         f"{_STAGE}/reveal": form(competitions.reveal_list),
         f"{_SUBMISSION}/cancel": form(submission_routes.cancel_submission),
         f"{_SUBMISSION}/public": form(submission_routes.put_public, back=f"{_SUBMISSION}#sharing"),
@@ -109,7 +105,7 @@ FORMS: Mapping[str, Page] = MappingProxyType(
         **{
             f"{address}{desk.APPEALS_ADDRESS}/{action}": form(route)
             for address in ("", _COMPETITION)
-            for action, route in (("open", appeals.post_appeal), ("withdraw", appeals.withdraw_appeal))
+            for action, route in (("open", correspondence.post_appeal), ("withdraw", correspondence.withdraw_appeal))
         },
         f"{messages.ADDRESS}/ask": form(correspondence.post_question),
         f"{desk.JUDGING_ADDRESS}/marks": form(judging.put_marks, values=desk.read_marks),
@@ -117,29 +113,29 @@ FORMS: Mapping[str, Page] = MappingProxyType(
         f"{briefs.ADDRESS}/{{team_id}}/decision": form(
             by_hand.put_decision, back=briefs.ADDRESS, values=briefs.read_decision
         ),
-        f"{desk.REJUDGING_ADDRESS}/start": form(rejudging.post_rejudgement),
-        f"{desk.REJUDGING_ADDRESS}/apply": form(rejudging.apply_rejudgement),
-        f"{desk.REJUDGING_ADDRESS}/discard": form(rejudging.discard_rejudgement),
+        f"{desk.REJUDGING_ADDRESS}/start": form(judging.post_rejudgement),
+        f"{desk.REJUDGING_ADDRESS}/apply": form(judging.apply_rejudgement),
+        f"{desk.REJUDGING_ADDRESS}/discard": form(judging.discard_rejudgement),
         f"{desk.ADDRESS}/accept": form(members.change_team, values=lambda _: {"accepted": True}),
         f"{desk.ADDRESS}/refuse": form(members.change_team, values=lambda _: {"accepted": False}),
         f"{desk.ADDRESS}/answer": form(correspondence.put_answer),
         f"{desk.ADDRESS}/hide": form(correspondence.hide_question),
-        f"{desk.ADDRESS}/rule": form(appeals.put_ruling),
+        f"{desk.ADDRESS}/rule": form(correspondence.put_ruling),
         f"{desk.ADDRESS}/announce": form(correspondence.post_announcement),
         f"{desk.ADDRESS}/withdraw": form(correspondence.withdraw_announcement),
-        f"{desk_teams.ADDRESS}/bulk": form(team_routes.change_teams, values=desk_teams.read_teams),
-        f"{desk_teams.ADDRESS}/note": form(members.put_note),
-        f"{team.ADDRESS}/me": form(members.change_member, ids=team.own_member, values=team.read_email),
-        f"{team.ADDRESS}/email": form(members.change_member, ids=team.own_member),
-        f"{team.ADDRESS}/notices": form(members.change_member, ids=team.own_member, values=team.read_muted),
-        f"{team.ADDRESS}/password": form(members.change_member, ids=team.own_member, values=team.read_password),
-        f"{team.ADDRESS}/leave": form(members.remove_member, ids=team.own_member),
-        f"{team.ADDRESS}/remove": form(members.remove_member, ids=team.own_team),
-        f"{team.ADDRESS}/captain": form(
-            members.change_captain, ids=team.own_team, values=lambda fields: {"member_id": fields.get("id")}
+        f"{desk.TEAMS_ADDRESS}/bulk": form(team_routes.change_teams, values=desk.read_teams),
+        f"{desk.TEAMS_ADDRESS}/note": form(members.put_note),
+        f"{teams.ADDRESS}/me": form(members.change_member, ids=teams.own_member, values=teams.read_email),
+        f"{teams.ADDRESS}/email": form(members.change_member, ids=teams.own_member),
+        f"{teams.ADDRESS}/notices": form(members.change_member, ids=teams.own_member, values=teams.read_muted),
+        f"{teams.ADDRESS}/password": form(members.change_member, ids=teams.own_member, values=teams.read_password),
+        f"{teams.ADDRESS}/leave": form(members.remove_member, ids=teams.own_member),
+        f"{teams.ADDRESS}/remove": form(members.remove_member, ids=teams.own_team),
+        f"{teams.ADDRESS}/captain": form(
+            members.change_captain, ids=teams.own_team, values=lambda fields: {"member_id": fields.get("id")}
         ),
-        f"{team.ADDRESS}/withdraw": form(members.withdraw_invitation, ids=team.own_team),
-        f"{team.ADDRESS}/revoke": form(team_routes.delete_token),
+        f"{teams.ADDRESS}/withdraw": form(members.withdraw_invitation, ids=teams.own_team),
+        f"{teams.ADDRESS}/revoke": form(team_routes.delete_token),
     }
 )
 """The route of the API that each form calls, by the form's address."""
@@ -152,11 +148,11 @@ def pages() -> APIRouter:
     for path, page, method in (
         ("/", home.home, "GET"),
         ("/example/playback/scene", home.example, "GET"),
-        ("/tracks/{track}", leaderboard.leaderboard, "GET"),
-        ("/tracks/{track}/leaderboard.csv", boards.leaderboard, "GET"),
-        ("/tracks/{track}/logs", leaderboard.logs, "GET"),
-        ("/tracks/{track}/logs.csv", boards.logs, "GET"),
-        ("/tracks/{track}/text-logs.csv", boards.text_logs, "GET"),
+        ("/tracks/{track}", leaderboards.leaderboard, "GET"),
+        ("/tracks/{track}/leaderboard.csv", files.leaderboard, "GET"),
+        ("/tracks/{track}/logs", leaderboards.logs, "GET"),
+        ("/tracks/{track}/logs.csv", files.logs, "GET"),
+        ("/tracks/{track}/text-logs.csv", files.text_logs, "GET"),
         ("/tracks/{track}/rules", tracks.rules, "GET"),
         ("/competitions", competition.competitions, "GET"),
         ("/competitions/{competition}", competition.competition, "GET"),
@@ -167,19 +163,19 @@ def pages() -> APIRouter:
         ("/competitions/{competition}/archive", competition.archive, "GET"),
         ("/competitions/{competition}/receipts", service.receipts, "GET"),
         ("/competitions/{competition}/appeals", desk.list_appeals, "GET"),
-        ("/competitions/{competition}/tracks/{track}", leaderboard.leaderboard, "GET"),
-        ("/competitions/{competition}/tracks/{track}/leaderboard.csv", boards.leaderboard, "GET"),
-        ("/competitions/{competition}/tracks/{track}/logs", leaderboard.logs, "GET"),
-        ("/competitions/{competition}/tracks/{track}/logs.csv", boards.logs, "GET"),
-        ("/competitions/{competition}/tracks/{track}/text-logs.csv", boards.text_logs, "GET"),
+        ("/competitions/{competition}/tracks/{track}", leaderboards.leaderboard, "GET"),
+        ("/competitions/{competition}/tracks/{track}/leaderboard.csv", files.leaderboard, "GET"),
+        ("/competitions/{competition}/tracks/{track}/logs", leaderboards.logs, "GET"),
+        ("/competitions/{competition}/tracks/{track}/logs.csv", files.logs, "GET"),
+        ("/competitions/{competition}/tracks/{track}/text-logs.csv", files.text_logs, "GET"),
         ("/submissions", submissions.submissions, "GET"),
-        ("/submissions.csv", tables.submission_list, "GET"),
+        ("/submissions.csv", files.submission_list, "GET"),
         (upload.ADDRESS, upload.upload_form, "GET"),
         (upload.ADDRESS, upload.upload, "POST"),
         ("/submissions/{submission_id}", submissions.submission, "GET"),
         *(
-            (f"/submissions/{{submission_id}}/{table.name}.{ending}", tables.make_table_page(table, ending), "GET")
-            for table in tables.TABLES
+            (f"/submissions/{{submission_id}}/{table.name}.{ending}", files.make_table_page(table, ending), "GET")
+            for table in files.TABLES
             for ending in TableFormat
         ),
         ("/submissions/{submission_id}/receipt.json", service.receipt_file, "GET"),
@@ -187,13 +183,13 @@ def pages() -> APIRouter:
         (comparison.ADDRESS, comparison.compare_pages, "GET"),
         (f"{comparison.ADDRESS}.csv", comparison.compare_csv, "GET"),
         (f"{comparison.ADDRESS}.json", comparison.compare_json, "GET"),
-        ("/submissions/{submission_id}/output", output.output, "GET"),
+        ("/submissions/{submission_id}/output", submissions.output, "GET"),
         ("/submissions/{submission_id}/sensor", sensors.sensor, "GET"),
         ("/submissions/{submission_id}/sensor/shape", sensors.shape, "GET"),
         ("/sensors/reference/shape", sensors.reference_shape, "GET"),
         ("/submissions/{submission_id}/document", sensors.document, "GET"),
         ("/submissions/{submission_id}/events", submissions.events, "GET"),
-        ("/submissions/{submission_id}/preview.png", sharing.preview, "GET"),
+        ("/submissions/{submission_id}/preview.png", submissions.preview, "GET"),
         ("/competition", competition.competition, "GET"),
         ("/receipts", service.receipts, "GET"),
         ("/competition/archive", competition.archive, "GET"),
@@ -212,22 +208,22 @@ def pages() -> APIRouter:
             )
         ),
         *(
-            (episodes.EMBED + address + path, embedded.without_session(page), method)
+            (episodes.EMBED + address + path, episodes.without_session(page), method)
             for address in EPISODES
             for path, page, method in (
-                ("", embedded.embedded, "GET"),
+                ("", episodes.embedded, "GET"),
                 ("/playback", episodes.playback, "GET"),
                 ("/playback", episodes.ask, "POST"),
                 ("/playback/{file}", episodes.playback_file, "GET"),
             )
         ),
         ("/operations", service.operations, "GET"),
-        ("/register", sign_in.register_form, "GET"),
-        ("/register", sign_in.register, "POST"),
-        (team.ADDRESS, team.team, "GET"),
-        (f"{team.ADDRESS}/data.json", team.data, "GET"),
-        (f"{team.ADDRESS}/invite", team.invite, "POST"),
-        (f"{team.ADDRESS}/token", team.renew_token, "POST"),
+        ("/register", teams.register_form, "GET"),
+        ("/register", teams.register, "POST"),
+        (teams.ADDRESS, teams.team, "GET"),
+        (f"{teams.ADDRESS}/data.json", teams.data, "GET"),
+        (f"{teams.ADDRESS}/invite", teams.invite, "POST"),
+        (f"{teams.ADDRESS}/token", teams.renew_token, "POST"),
         (messages.ADDRESS, messages.messages, "GET"),
         (desk.APPEALS_ADDRESS, desk.list_appeals, "GET"),
         (briefs.ADDRESS, briefs.show, "GET"),
@@ -235,24 +231,24 @@ def pages() -> APIRouter:
         (f"{briefs.ADDRESS}/{{team_id}}.pdf", briefs.document, "GET"),
         (desk.JUDGING_ADDRESS, desk.judging, "GET"),
         (desk.REJUDGING_ADDRESS, desk.rejudgements, "GET"),
-        (desk_teams.ADDRESS, desk_teams.teams, "GET"),
-        (f"{desk_teams.ADDRESS}/import", desk_teams.import_file, "POST"),
-        ("/desk/competitions/{competition}", desk_competitions.competition, "GET"),
-        ("/desk/competitions/{competition}/results.zip", desk_competitions.results, "GET"),
+        (desk.TEAMS_ADDRESS, desk.teams, "GET"),
+        (f"{desk.TEAMS_ADDRESS}/import", desk.import_file, "POST"),
+        ("/desk/competitions/{competition}", desk.competition, "GET"),
+        ("/desk/competitions/{competition}/results.zip", desk.results, "GET"),
         *(
             (f"/desk/competitions/{{competition}}/tracks/{{track}}/stages/{{stage}}{path}", page, method)
             for path, page, method in (
-                ("", desk_competitions.stage, "GET"),
-                ("/submissions.zip", desk_competitions.submissions, "GET"),
+                ("", desk.stage, "GET"),
+                ("/submissions.zip", desk.submissions, "GET"),
             )
         ),
         (desk.ADDRESS, desk.desk, "GET"),
-        ("/join", team.join_form, "GET"),
-        ("/join", team.join, "POST"),
-        ("/sign-in", sign_in.sign_in_form, "GET"),
-        ("/sign-in", sign_in.sign_in, "POST"),
-        ("/sign-in/password", sign_in.sign_in_with_password, "POST"),
-        ("/sign-out", sign_in.sign_out, "POST"),
+        ("/join", teams.join_form, "GET"),
+        ("/join", teams.join, "POST"),
+        ("/sign-in", teams.sign_in_form, "GET"),
+        ("/sign-in", teams.sign_in, "POST"),
+        ("/sign-in/password", teams.sign_in_with_password, "POST"),
+        ("/sign-out", teams.sign_out, "POST"),
         *((path, page, "POST") for path, page in FORMS.items()),
     ):
         router.add_route(path, name_competitions(page), methods=[method], include_in_schema=False)

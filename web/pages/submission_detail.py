@@ -12,8 +12,7 @@ from vitac.server.leaderboards.public_pages import readable
 from vitac.server.principals import Principal
 from vitac.server.settings import Settings
 from vitac.server.submissions import files, listing
-from vitac.server.submissions.listing import make_card
-from vitac.server.submissions.view import submission_views
+from vitac.server.submissions.listing import make_card, submission_views
 from vitac.server.views.leaderboards import PastResultView
 from vitac.server.views.receipts import ActionMatchView
 from vitac.server.views.submissions import EpisodeView, ModelCardView, SubmissionView

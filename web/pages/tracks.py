@@ -7,13 +7,13 @@ from starlette.requests import Request
 from starlette.responses import Response
 from vitac.envs.maniskill import batch
 from vitac.envs.maniskill.definition import PREFIX, is_maniskill
-from vitac.evaluator.agent.protocol.frames import ACTION_TYPES
+from vitac.evaluator.agent.protocol import ACTION_TYPES
 from vitac.evaluator.tracks import Task, find_task
 
 from ..headers import limit_rows, size
 from ..rendering import STATIC
 from ..site import get_site, get_viewer, page
-from .leaderboards.tabs import accepts_logs, known_track, track_tabs
+from .leaderboards import accepts_logs, known_track, track_tabs
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ from vitac.server.submissions import trials
 
 from ..plots.map import describe_start
 from ..site import get_principal, get_site, get_viewer, open_to_all, page
-from .episodes.page import read_place
+from .episodes import read_place
 
 ADDRESS = "/submissions/{submission_id}/trials/{task}/{number}"
 

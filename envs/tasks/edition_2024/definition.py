@@ -19,20 +19,20 @@ _SHAPE = played_shape(", ".join(PegShape2024))
 PEG_TASK = replace(
     PEG_2025,
     env_id="ViTac/PegInsertion2024-v1",
-    environment="vitac.envs.tasks.edition_2024.peg_insertion:PegInsertion2024Env",
+    environment="vitac.envs.tasks.edition_2024.env:PegInsertion2024Env",
     observables=tuple(
         _SHAPE if entry.name == _SHAPE.name else entry
         for entry in PEG_2025.observables
         if entry.name != "relative_motion"
     ),
-    accepts_start="vitac.envs.tasks.edition_2024.peg_insertion:accepts_start",
+    accepts_start="vitac.envs.tasks.edition_2024.env:accepts_start",
     quantities=tuple(quantity for quantity in PEG_2025.quantities if quantity not in FORM_QUANTITIES),
 )
 
 LOCK_TASK = replace(
     LOCK_2025,
     env_id="ViTac/LockOpening2024-v1",
-    environment="vitac.envs.tasks.edition_2024.lock_opening:LockOpening2024Env",
+    environment="vitac.envs.tasks.edition_2024.env:LockOpening2024Env",
     actions=tuple(
         ActionComponent(name=name, scale=scale, unit="mm", meaning=f"Gripper motion along -{name}. {more}")
         for name, scale, more in (
@@ -42,7 +42,7 @@ LOCK_TASK = replace(
         )
     ),
     perspective="vitac.envs.tasks.edition_2024.definition:PERSPECTIVE",
-    guided_motion="vitac.envs.tasks.edition_2024.lock_opening:in_and_up",
+    guided_motion="vitac.envs.tasks.edition_2024.env:in_and_up",
 )
 
 TASKS = (PEG_TASK, LOCK_TASK)

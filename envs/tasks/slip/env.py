@@ -1,17 +1,315 @@
-"""`ViTac/Slip-v1`: hold a part under a load that grows with as little force as it takes, and set it down."""
+"""`ViTac/Slip-v1`: hold a part under a load that grows with as little force as it takes, and set it down.
+
+First its scene: the part on a table, the load on it, and a gripper whose width is commanded.
+"""
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from math import sqrt
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ...fem.model.mesh import SurfaceMesh
+from ...assets import Meshes
+from ...fem.model.mesh import GEL_MATERIAL, PART_MATERIAL, PointLoad, PointMass, RigidBody, SurfaceMesh
+from ...geometry.bases import regular_hexagon_mm
+from ...geometry.solid import Polygon, prism_faces, rectangle, solid_from_faces
+from ...scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings, fixed_at_origin
+from ...scene.gripper import UPRIGHT_MOUNTS, Gripper, GripperPose
 from ...scene.perspective import ActionArray
+from ...tactile.gel import highest_mm
+from ...tactile.markers import MarkerSettings
 from ..definition import Flags, surface_moved_too_far
-from ..settings import SHAPE, choose_shape, either_way, numbers
+from ..quantities import check_quantities
+from ..settings import SHAPE, arena_physics, choose_shape, either_way, numbers, require
 from ..task_env import Info, Observation, TactileTaskEnv
-from .definition import STANDING_MM, TASK
-from .scene import SlipScene, SlipSettings, SlipShape, SlipStart, part_mesh, table_mesh
+from .definition import CENTRE_OF_MASS, LOAD, MASS, PART_QUANTITIES, STANDING_MM, TASK
+
+FloatArray = NDArray[np.float64]
+
+
+GRIPPED_WIDTH_MM, PART_HEIGHT_MM = 30.0, 50.0
+GRASP_HEIGHT_MM = 30.0
+TABLE_MM = rectangle(-45.0, 45.0, -30.0, 30.0)
+TABLE_THICKNESS_MM = 6.0
+# Free space below the part and beside the gels when the scene is built.
+START_GAP_MM = 0.1
+# IPC steps in which the part comes to rest on the table and the gels close on it.
+GRASP_STEPS = 2
+GRAVITY_M_S2 = 9.81
+# Mean distance of the places where a gel presses from their middle.
+PATCH_MM = 6.0
+# Share of the part's mass that is spread over it; the rest is a weight inside, twice as far off as the centre of mass.
+_SPREAD = 0.5
+
+
+class SlipShape(StrEnum):
+    """Cross-section of the part."""
+
+    BLOCK = "block"
+    """24 mm along x."""
+    BAR = "bar"
+    """12 mm along x, narrower than the gels."""
+    COLUMN = "column"
+    """A regular hexagon."""
+
+
+def slip_physics() -> PhysicsSettings:
+    """Return the contact model arena-2 with its gel, gravity, and IPC steps of 0.2 s."""
+    return replace(arena_physics(), time_step_s=0.2, gravity_m_s2=GRAVITY_M_S2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlipSettings:
+    """What the task leaves open.
+
+    Attributes:
+        max_steps: env steps after which an episode is cut off.
+        ipc_steps: of an env step.
+        action_scale_mm: motion at an action of 1: height, width.
+        touching_width_mm: width of the gripper at the start, at which both gels just touch the part.
+        part_mass_kg: mass of the part.
+        centre_of_mass_mm: where it is along x from the part's middle.
+        load_n: load in the end, downwards through the centre of mass.
+        load_first_step: env step in which the load begins to grow.
+        load_last_step: env step in which it has grown.
+        crush_ratio: a jaw that presses with more than this times the force that holds the whole load crushes the part.
+        step_penalty: of an env step in the reward.
+        final_reward: of success.
+        failure_penalty: of the flags that end an episode.
+        random_x_mm: largest |x| of a random start.
+        random_z_mm: largest |z| of a random start.
+        physics: materials and time stepping.
+        markers: ranges of the marker grid.
+    """
+
+    max_steps: int = 28
+    ipc_steps: int = 1
+    action_scale_mm: tuple[float, ...] = TASK.action_scale
+    touching_width_mm: float = 30.16
+    part_mass_kg: float = MASS.nominal
+    centre_of_mass_mm: float = CENTRE_OF_MASS.nominal
+    load_n: float = LOAD.nominal
+    load_first_step: int = 8
+    load_last_step: int = 16
+    crush_ratio: float = 1.5
+    step_penalty: float = 0.1
+    final_reward: float = 10.0
+    failure_penalty: float = 10.0
+    random_x_mm: float = 1.5
+    random_z_mm: float = 3.0
+    physics: PhysicsSettings = field(default_factory=slip_physics)
+    markers: MarkerSettings = field(default_factory=MarkerSettings)
+
+    def __post_init__(self) -> None:
+        require(self.max_steps >= 1, "max_steps", self.max_steps, "at least 1")
+        require(1 <= self.ipc_steps <= 100, "ipc_steps", self.ipc_steps, "1 to 100")
+        scale = self.action_scale_mm
+        usable = len(scale) == len(TASK.actions) and all(0 <= value <= 5 for value in scale)
+        require(usable, "action_scale_mm", scale, "two numbers of 0 to 5")
+        width_mm, wide_mm = self.touching_width_mm, GRIPPED_WIDTH_MM + 2.0 * START_GAP_MM
+        require(28 <= width_mm <= wide_mm, "touching_width_mm", width_mm, f"28 to {wide_mm:g} mm")
+        check_quantities(self, PART_QUANTITIES)
+        first, last = self.load_first_step, self.load_last_step
+        require(1 <= first <= last, "load_first_step", first, f"1 to load_last_step = {last}")
+        require(self.crush_ratio > 1, "crush_ratio", self.crush_ratio, "more than 1")
+        require(0 <= self.random_x_mm <= 5, "random_x_mm", self.random_x_mm, "0 to 5 mm")
+        require(0 <= self.random_z_mm <= 10, "random_z_mm", self.random_z_mm, "0 to 10 mm")
+
+    @property
+    def gel_friction(self) -> float:
+        """Friction coefficient of the gels on the part."""
+        pairs = self.physics.contact.pair_frictions  # type: ignore[union-attr]
+        return next(pair.coefficient for pair in pairs if {pair.first, pair.second} == {GEL_MATERIAL, PART_MATERIAL})
+
+    @property
+    def weight_n(self) -> float:
+        """Weight of the part [N]."""
+        return self.part_mass_kg * self.physics.gravity_m_s2
+
+    @property
+    def largest_grip_n(self) -> float:
+        """Force of a jaw beyond which the part is crushed [N]."""
+        return self.crush_ratio * (self.weight_n + self.load_n) / (2.0 * self.gel_friction)
+
+
+def part_mesh(shape: SlipShape) -> SurfaceMesh:
+    """Return the part of this shape, its lower face at z = 0."""
+    return solid_from_faces(prism_faces(_profile_mm(shape), 0.0, PART_HEIGHT_MM), str(shape))
+
+
+def _profile_mm(shape: SlipShape) -> Polygon:
+    half_mm = 0.5 * GRIPPED_WIDTH_MM
+    if shape is SlipShape.COLUMN:
+        return regular_hexagon_mm((0.0, 0.0), half_mm)
+    x_mm = {SlipShape.BLOCK: 12.0, SlipShape.BAR: 6.0}[shape]
+    return rectangle(-x_mm, x_mm, -half_mm, half_mm)
+
+
+def table_mesh() -> SurfaceMesh:
+    """Return the table, its upper face at z = 0."""
+    return solid_from_faces(prism_faces(TABLE_MM, -TABLE_THICKNESS_MM, 0.0), "table")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlipStart:
+    """Start of an episode.
+
+    Attributes:
+        shape: of the part.
+        x_mm: grasp beside the part's middle.
+        z_mm: grasp above its nominal height.
+    """
+
+    shape: SlipShape
+    x_mm: float
+    z_mm: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class GrowingLoad:
+    """A load that grows evenly from a first to a last moment, as the load of a part.
+
+    Attributes:
+        first_s: when it begins.
+        last_s: when it has grown.
+        force_n: how large it is then, downwards.
+        point_mm: where it acts, in the part's frame.
+    """
+
+    first_s: float
+    last_s: float
+    force_n: float
+    point_mm: tuple[float, float, float]
+
+    def at(self, time_s: float) -> float:
+        """Return the load at a time since the scene was built [N]."""
+        part = (time_s - self.first_s) / (self.last_s - self.first_s)
+        return self.force_n * min(1.0, max(0.0, part))
+
+    def __call__(self, time_s: float) -> PointLoad:
+        """Return the force at a time since the scene was built, and where it acts."""
+        return PointLoad(np.array([0.0, 0.0, -self.at(time_s)]), 1e-3 * np.array(self.point_mm))
+
+
+class SlipScene:
+    """A part that stands on a table, and the motions of the gripper around it.
+
+    Attributes:
+        grasped: the physics, the gripper and its sensors.
+        env_steps: played so far in the episode.
+        shape: of the part.
+        load: on the part.
+        fallen_mm: how far the part slid down in the grasp in the last env step.
+    """
+
+    def __init__(self, *, start: SlipStart, meshes: Meshes, settings: SlipSettings, clocks: Clocks) -> None:
+        self.shape, self.env_steps, self.fallen_mm = start.shape, 0, 0.0
+        self._settings, self._forces_n = settings, list[float]()
+        part, com_mm = part_mesh(start.shape), settings.centre_of_mass_mm
+        self.measured_vertices = np.flatnonzero(part.vertices_m[:, 2] == 0.0)
+        self._closing_m = (START_GAP_MM + 0.5 * (GRIPPED_WIDTH_MM - settings.touching_width_mm)) * 1e-3
+        step_s, middle_mm = settings.physics.time_step_s, 0.5 * PART_HEIGHT_MM
+        self.load = GrowingLoad(
+            first_s=step_s * (GRASP_STEPS + settings.ipc_steps * (settings.load_first_step - 1)),
+            last_s=step_s * (GRASP_STEPS + settings.ipc_steps * settings.load_last_step),
+            force_n=settings.load_n,
+            point_mm=(com_mm, 0.0, middle_mm),
+        )
+        weight_m = 1e-3 * np.array([com_mm / (1.0 - _SPREAD), 0.0, middle_mm])
+        self._open_pose = GripperPose(
+            x_m=1e-3 * start.x_mm,
+            y_m=0.0,
+            z_m=1e-3 * (START_GAP_MM + GRASP_HEIGHT_MM + start.z_mm),
+            angle_rad=0.0,
+            half_opening_m=1e-3 * (0.5 * GRIPPED_WIDTH_MM + highest_mm(meshes.gel()) + START_GAP_MM),
+        )
+        self.grasped = GraspedScene(
+            gripper=Gripper(mounts=UPRIGHT_MOUNTS, gel=meshes.gel(), pose=self._open_pose),
+            held=RigidBody(
+                mesh=part,
+                rotation=np.eye(3),
+                translation_m=np.array([0.0, 0.0, 1e-3 * START_GAP_MM]),
+                density_kg_m3=_SPREAD * settings.part_mass_kg / part.volume_m3,
+                point_masses=(PointMass((1.0 - _SPREAD) * settings.part_mass_kg, weight_m),),
+                load=self.load,
+            ),
+            fixed=fixed_at_origin(table_mesh(), friction=0.5),
+            physics=settings.physics,
+            sensors=meshes.sensors(settings.markers),
+            clocks=clocks,
+        )
+
+    def grasp(self) -> None:
+        """Touch the part that stands on the table, and take the references."""
+        goal = self._open_pose.moved(closing_m=self._closing_m)
+        self.grasped.move_to(goal, ipc_steps=GRASP_STEPS)
+        self.grasped.capture_references()
+
+    def move(self, command: FloatArray) -> None:
+        """Move the gripper up and open it as an action says, both together."""
+        up_mm, wider_mm = (np.clip(command, -1.0, 1.0) * np.array(self._settings.action_scale_mm)).tolist()
+        before_m = self._height_in_grasp_m()
+        goal = self.grasped.pose.moved(z_m=1e-3 * up_mm, closing_m=-0.5e-3 * wider_mm)
+        self.grasped.move_to(goal, ipc_steps=self._settings.ipc_steps)
+        self.fallen_mm = 1e3 * (before_m - self._height_in_grasp_m())
+        if self.is_loading:
+            self._forces_n = [*self._forces_n, self.grasped.grip_force_n()]
+
+    @property
+    def is_loading(self) -> bool:
+        """Whether the load grows in the present env step."""
+        return self._settings.load_first_step <= self.env_steps <= self._settings.load_last_step
+
+    @property
+    def mean_grip_force_n(self) -> float:
+        """Mean grip force at the ends of the env steps in which the load grows [N]; one not reached has the largest."""
+        count = 1 + self._settings.load_last_step - self._settings.load_first_step
+        missing = count - len(self._forces_n)
+        return (sum(self._forces_n) + missing * self.largest_grip_n) / count
+
+    def heights_mm(self) -> FloatArray:
+        """Return the heights of the part's lower corners above the table [mm], shape [n]."""
+        return self.grasped.held_vertices_m(self.measured_vertices)[:, 2] * 1e3
+
+    def relative_motion_mm(self) -> FloatArray:
+        """Return the commanded height of the gripper above that of the start [mm], shape [1]."""
+        return np.array([1e3 * (self.grasped.pose.z_m - self._open_pose.z_m)])
+
+    def properties(self) -> FloatArray:
+        """Return mass [kg], centre of mass [mm], friction coefficient and load at the end [N], shape [4]."""
+        settings = self._settings
+        return np.array([settings.part_mass_kg, settings.centre_of_mass_mm, settings.gel_friction, settings.load_n])
+
+    def load_n(self, later_env_steps: int = 0) -> FloatArray:
+        """Return the load now, or a number of env steps later [N], shape [1]."""
+        settings = self._settings
+        later_s = later_env_steps * settings.ipc_steps * settings.physics.time_step_s
+        return np.array([self.load.at(self.grasped.time_s + later_s)])
+
+    def needed_grip_n(self) -> float:
+        """Return the force of each jaw by which friction just holds weight and load at the end of the next env step.
+
+        Coulomb's law for a limit surface that is an ellipse of force and moment (Howe & Cutkosky 1996), with a patch
+        whose mean distance from its middle is `PATCH_MM`.
+        """
+        settings = self._settings
+        force_n = settings.weight_n + float(self.load_n(1)[0])
+        lever_mm = settings.centre_of_mass_mm - 1e3 * self._open_pose.x_m
+        return force_n * sqrt(1.0 + lever_mm * lever_mm / (PATCH_MM * PATCH_MM)) / (2.0 * settings.gel_friction)
+
+    @property
+    def largest_grip_n(self) -> float:
+        """Force of a jaw beyond which the part is crushed [N]."""
+        return self._settings.largest_grip_n
+
+    def _height_in_grasp_m(self) -> float:
+        """Return the mean height of the part's lower corners below the gripper, negative [m]."""
+        heights_m: list[float] = self.grasped.held_vertices_m(self.measured_vertices)[:, 2].tolist()
+        return sum(heights_m) / len(heights_m) - self.grasped.pose.z_m
+
 
 OFFSET = "offset_mm"
 LARGEST_X_MM, LARGEST_Z_MM = 5.0, 10.0

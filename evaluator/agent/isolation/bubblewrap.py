@@ -17,8 +17,7 @@ from vitac.envs.vision import optics
 
 from ..limits import Limits
 from ..verdicts import SandboxFailed
-from .gpu import Gpu
-from .image_program import CHANNEL, CHANNEL_VARIABLE, ImageProgram
+from .gpu import CHANNEL, CHANNEL_VARIABLE, Gpu, ImageProgram
 from .packages import Interpreter
 
 OWN_PROCESSES: Final = 3

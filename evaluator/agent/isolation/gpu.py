@@ -1,11 +1,8 @@
-"""The GPU of this machine as an image with `needs: gpu` gets it: NVIDIA's device nodes and the driver's libraries.
-
-The libraries belong to the driver in the machine's kernel, so that no image can bring its own.
-"""
+"""A container image that plays: its unpacked files, its command, and the GPU of this machine that it may need."""
 
 import re
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -73,3 +70,29 @@ def _print_cache() -> str:
         ).stdout
     except (OSError, subprocess.CalledProcessError):
         return ""
+
+
+MOUNT_POINTS: Final = ("dev", "proc", "sys", "tmp")
+"""Folders at the top of an image that the sandbox has of its own, or leaves empty."""
+CHANNEL: Final = 3
+"""Descriptor of the channel that the command inherits."""
+CHANNEL_VARIABLE: Final = "VITAC_CHANNEL"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageProgram:
+    """What is run, and where.
+
+    Attributes:
+        root: folder of the unpacked files, with the folders `MOUNT_POINTS`.
+        arguments: the command.
+        variables: environment variables that the image sets.
+        folder: working directory inside.
+        gpu: that it needs, of this machine; None: it needs none.
+    """
+
+    root: Path
+    arguments: tuple[str, ...]
+    variables: Mapping[str, str]
+    folder: str
+    gpu: Gpu | None = None

@@ -16,7 +16,7 @@ from ...isolation_kinds import IsolationKind
 from ..limits import Limits
 from ..verdicts import SandboxFailed
 from . import bubblewrap
-from .image_program import ImageProgram
+from .gpu import ImageProgram
 from .packages import Interpreter
 
 PROGRAM_VARIABLE: Final = "VITAC_RUNSC"

@@ -1,13 +1,15 @@
-"""One running sandbox: its processes, its channel, its output and its resources, from start to the last kill."""
+"""Starts and watches the process of a policy: in its sandbox, or as a process like any other where nothing isolates."""
 
 import contextlib
 import json
 import os
 import select
+import shutil
 import signal
 import socket
 import struct
 import subprocess
+import sys
 import tempfile
 import threading
 import time
@@ -20,12 +22,12 @@ from typing import Final, Self
 from ...isolation_kinds import IsolationKind
 from ...package_sets import PackageSet
 from ..limits import Limits
-from ..protocol.channel import Channel
+from ..protocol import Channel
 from ..verdicts import SandboxFailed
-from . import bubblewrap, cgroup, gvisor, packages, process_tree, seccomp, unisolated
+from . import bubblewrap, cgroup, gvisor, packages, process_tree, seccomp
 from .bubblewrap import UserIsolation
 from .cgroup import MemoryIsolation
-from .image_program import ImageProgram
+from .gpu import ImageProgram
 from .memory_files import (
     FileIsolation,
     default_file_isolation,
@@ -35,6 +37,7 @@ from .memory_files import (
     with_submission_in_memory,
 )
 from .output import OutputTail
+from .packages import package_folders
 
 _INTERVAL_S: Final = 0.1
 
@@ -273,10 +276,10 @@ class Sandbox:
 
     def _start_unisolated(self, _: contextlib.ExitStack, channel: int, status: int, output: int) -> Callable[[], int]:
         folder = Path(self._exits.enter_context(tempfile.TemporaryDirectory(prefix="vitac-policy-")))
-        command = unisolated.command(folder, submission=self._submission, limits=self.limits)
+        command = unisolated_command(folder, submission=self._submission, limits=self.limits)
         self._process = subprocess.Popen(  # noqa: S603 - the command holds paths of ours only
             command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, pass_fds=(channel, status),
-            env=unisolated.environment(), start_new_session=True,
+            env=unisolated_environment(), start_new_session=True,
         )  # fmt: skip
         return lambda: self._process.pid
 
@@ -402,3 +405,28 @@ def _spawn(
 
 def _proc_name(descriptor: int, resource: str) -> str:
     return f"{resource}:[{os.fstat(descriptor).st_ino}]"
+
+
+def unisolated_command(folder: Path, *, submission: Path, limits: Limits) -> list[str]:
+    """Return the command line, and put our files, which lie beside each other in a sandbox, into a folder.
+
+    Args:
+        folder: empty, stays for as long as the policy runs.
+        submission: folder of the policy.
+        limits: what the policy may use.
+    """
+    for outside, inside in bubblewrap.OWN_FILES:
+        shutil.copy(outside, folder / Path(inside).name)
+    return bubblewrap.runtime_command(
+        limits,
+        program=Path(sys.executable),
+        packages=package_folders(),
+        runtime=str(folder / Path(bubblewrap.INSIDE_RUNTIME).name),
+        submission=str(submission.resolve()),
+    )
+
+
+def unisolated_environment() -> dict[str, str]:
+    """Return the environment variables of a sandbox, with this machine's own places."""
+    kept = {name: os.environ[name] for name in ("HOME", "PATH", "TMPDIR", "LD_LIBRARY_PATH") if name in os.environ}
+    return {**bubblewrap.ENVIRONMENT, **kept}

@@ -5,8 +5,17 @@ Ids that people see are random UUIDs, times are UTC with zone, states are text u
 
 from .accounts import ApiToken, AuditEntry, Invitation, Member, Team, TeamQuota
 from .base import Base
-from .by_hand import Brief, EnteredResult, HumanBaseline
-from .competition import CompetitionRow, Qualification, Rejudgement, SealedList
+from .competition import (
+    Brief,
+    CompetitionRow,
+    EnteredResult,
+    HumanBaseline,
+    JudgingConflict,
+    JudgingMark,
+    Qualification,
+    Rejudgement,
+    SealedList,
+)
 from .evaluations import (
     ALL_TASKS,
     ActionTrace,
@@ -22,15 +31,23 @@ from .evaluations import (
     SensorCheck,
     Shard,
     Trial,
+    Work,
 )
-from .judging import JudgingConflict, JudgingMark
-from .notices import Notice, Webhook
-from .operations import DeclaredEvaluator, LivePicture, MetricTotal, SchemaCompatibility, Station, Worker
-from .people import Announcement, Appeal, AppealReplay, Question
-from .playbacks import Playback
-from .receipts import Cosignature, ReceiptKey, ReceiptRow, TreeNode
+from .operations import (
+    Cosignature,
+    DeclaredEvaluator,
+    LivePicture,
+    MetricTotal,
+    Playback,
+    ReceiptKey,
+    ReceiptRow,
+    SchemaCompatibility,
+    Station,
+    TreeNode,
+    Worker,
+)
+from .people import Announcement, Appeal, AppealReplay, Notice, Question, Webhook
 from .submissions import PartialUpload, Submission, SubmissionFile, UploadPart
-from .work import Work
 
 __all__ = [
     "ALL_TASKS",

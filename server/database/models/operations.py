@@ -1,16 +1,30 @@
-"""Workers, the evaluator that the service declares, and what all processes have counted."""
+"""Rows of the service itself: its public log, receipts and playbacks, and what its processes leave."""
 
 from datetime import datetime
 from typing import Any
 from uuid import UUID, uuid4
 
-from sqlalchemy import BigInteger, Float, ForeignKey, Text, false, func
+from sqlalchemy import (
+    BigInteger,
+    CheckConstraint,
+    Float,
+    ForeignKey,
+    Index,
+    LargeBinary,
+    SmallInteger,
+    String,
+    Text,
+    false,
+    func,
+    text,
+)
 from sqlalchemy.dialects.postgresql import ARRAY, JSONB
-from sqlalchemy.orm import Mapped, mapped_column
+from sqlalchemy.orm import Mapped, mapped_column, relationship
 
 from ...settings import OutdatedRule
-from ..states import WorkerOrder, WorkerState
-from .base import Base, closed_set
+from ..states import WorkerOrder, WorkerState, WorkKind
+from .base import Base, closed_set, sha256_check
+from .evaluations import EpisodeResult, Work
 
 
 class Worker(Base):
@@ -96,3 +110,103 @@ class MetricTotal(Base):
     name: Mapped[str] = mapped_column(primary_key=True)
     labels: Mapped[str] = mapped_column(primary_key=True)
     value: Mapped[float] = mapped_column(Float)
+
+
+class ReceiptKey(Base):
+    """The one key of this service (Ed25519, hexadecimal digits). It stays with the database, also in a backup."""
+
+    __tablename__ = "receipt_key"
+    __table_args__ = (
+        CheckConstraint("id = 1", name="is_the_only_one"),
+        CheckConstraint("private_key ~ '^[0-9a-f]{64}$'", name="private_key_is_hexadecimal"),
+    )
+    id: Mapped[int] = mapped_column(primary_key=True, autoincrement=False, default=1, server_default=text("1"))
+    private_key: Mapped[str] = mapped_column(String(64))
+    public_key: Mapped[str] = mapped_column(String(64))
+    made_at: Mapped[datetime] = mapped_column(server_default=func.now())
+
+
+class ReceiptRow(Base):
+    """A receipt and its entry of the log; triggers refuse to change one, to take one away and to leave a gap.
+
+    Attributes:
+        stands_for: `EntryKind`.
+        entry: the bytes of the entry, as everybody reads them.
+        leaf_hash: of these bytes, in the tree.
+        content: what the receipt says, as JSON text.
+        submission_id: of the submission that arrived; NULL otherwise.
+        evaluation_id: of the evaluation whose result it is; NULL otherwise.
+        board: on which the result may be.
+    """
+
+    __tablename__ = "receipts"
+    __table_args__ = (
+        CheckConstraint("number >= 1", name="counts_from_one"),
+        CheckConstraint("(stands_for = 'submission') = (submission_id IS NOT NULL)", name="arrival_has_submission"),
+        CheckConstraint("(stands_for = 'result') = (evaluation_id IS NOT NULL)", name="result_has_evaluation"),
+        CheckConstraint("octet_length(leaf_hash) = 32", name="leaf_hash_is_sha256"),
+    )
+    number: Mapped[int] = mapped_column(BigInteger, primary_key=True, autoincrement=False)
+    submission_id: Mapped[UUID | None] = mapped_column(ForeignKey("submissions.id", ondelete="RESTRICT"), unique=True)
+    evaluation_id: Mapped[UUID | None] = mapped_column(ForeignKey("evaluations.id", ondelete="RESTRICT"), unique=True)
+    stands_for: Mapped[str]
+    content: Mapped[str]
+    board: Mapped[str] = mapped_column(index=True)
+    entry: Mapped[str]
+    leaf_hash: Mapped[bytes] = mapped_column(LargeBinary)
+
+
+class TreeNode(Base):
+    """The hash over a complete tile of the log's tree, in a tile of the level above (`server.transparency.merkle`)."""
+
+    __tablename__ = "tree_nodes"
+    level: Mapped[int] = mapped_column(SmallInteger, primary_key=True, autoincrement=False)
+    number: Mapped[int] = mapped_column(BigInteger, primary_key=True, autoincrement=False)
+    hash: Mapped[bytes] = mapped_column(LargeBinary)
+
+
+class Cosignature(Base):
+    """What a witness signed of a checkpoint.
+
+    Attributes:
+        witness: its verifier key.
+        size: of the checkpoint.
+        signature: time and Ed25519 signature, as in a line of a note.
+        signed_at: as the witness says.
+    """
+
+    __tablename__ = "cosignatures"
+    witness: Mapped[str] = mapped_column(primary_key=True)
+    size: Mapped[int] = mapped_column(BigInteger, primary_key=True, autoincrement=False)
+    signature: Mapped[bytes] = mapped_column(LargeBinary)
+    signed_at: Mapped[datetime]
+
+
+class Playback(Work):
+    """The playback of an episode, by a key over all that it is made from: equal episodes share one.
+
+    Its `owner` is whose limits count it.
+    """
+
+    __tablename__ = "playbacks"
+    __table_args__ = (
+        sha256_check("key"),
+        sha256_check("scene_sha256"),
+        sha256_check("cameras_sha256"),
+        sha256_check("still_sha256"),
+        sha256_check("film_sha256"),
+        CheckConstraint("env_steps_played >= 0", name="counts_from_zero"),
+        Index("ix_playbacks_asked_at", "asked_at"),
+    )
+    id: Mapped[int] = mapped_column(ForeignKey("work.id", ondelete="CASCADE"), primary_key=True)
+    key: Mapped[str] = mapped_column(String(64), unique=True)
+    episode_id: Mapped[int] = mapped_column(ForeignKey("episode_results.id", ondelete="CASCADE"), index=True)
+    evaluator_version: Mapped[str]
+    asked_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    env_steps_played: Mapped[int] = mapped_column(default=0)
+    scene_sha256: Mapped[str | None] = mapped_column(String(64))
+    cameras_sha256: Mapped[str | None] = mapped_column(String(64))
+    still_sha256: Mapped[str | None] = mapped_column(String(64))
+    film_sha256: Mapped[str | None] = mapped_column(String(64))
+    episode: Mapped[EpisodeResult] = relationship()
+    __mapper_args__ = {"polymorphic_identity": WorkKind.PLAYBACK}  # noqa: RUF012 - SQLAlchemy reads it

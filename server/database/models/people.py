@@ -1,16 +1,16 @@
-"""What organizers and teams say to each other: announcements, questions, appeals."""
+"""Rows about members: their sessions, questions, announcements, and the notices sent to them."""
 
 from datetime import datetime
-from uuid import UUID
+from typing import Any
+from uuid import UUID, uuid4
 
-from sqlalchemy import CheckConstraint, ForeignKey, Index, String, func, text
+from sqlalchemy import CheckConstraint, ForeignKey, Index, String, UniqueConstraint, func, text
 from sqlalchemy.orm import Mapped, mapped_column, relationship, synonym
 
-from ..states import AppealState, WorkKind
+from ..states import AppealState, NoticeChannel, NoticeKind, WorkKind
 from .accounts import Team
 from .base import Base, closed_set, sha256_check
-from .evaluations import Evaluation
-from .work import Work
+from .evaluations import Evaluation, Work
 
 
 class Announcement(Base):
@@ -95,3 +95,44 @@ class AppealReplay(Work):
     appeal: Mapped[Appeal] = relationship(back_populates="replays")
     played_at: Mapped[datetime | None] = synonym("finished_at")
     __mapper_args__ = {"polymorphic_identity": WorkKind.REPLAY}  # noqa: RUF012 - SQLAlchemy reads it
+
+
+class Webhook(Base):
+    """Where a team's own program gets notices. The secret signs them, so it is stored in clear."""
+
+    __tablename__ = "webhooks"
+    __table_args__ = (CheckConstraint("length(secret) = 64", name="secret_is_long"),)
+    id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
+    team_id: Mapped[UUID] = mapped_column(ForeignKey("teams.id", ondelete="CASCADE"), index=True)
+    address: Mapped[str]
+    secret: Mapped[str]
+    created_at: Mapped[datetime] = mapped_column(server_default=func.now())
+
+
+class Notice(Base):
+    """One notice to one address: a mail's, or the id of a webhook.
+
+    `due_at` is when it is tried next; whoever tries moves it on first, so that nobody else does meanwhile.
+    """
+
+    __tablename__ = "notices"
+    __table_args__ = (
+        UniqueConstraint("kind", "subject", "channel", "target", name="uq_notices_once"),
+        CheckConstraint("attempts >= 0", name="attempts_are_counted"),
+        CheckConstraint("sent_at IS NULL OR given_up_at IS NULL", name="is_sent_or_given_up"),
+        Index("ix_notices_due", "due_at", postgresql_where=text("sent_at IS NULL AND given_up_at IS NULL")),
+        Index("ix_notices_of_team", "team_id", "created_at"),
+    )
+    id: Mapped[UUID] = mapped_column(primary_key=True, server_default=text("gen_random_uuid()"))
+    kind: Mapped[NoticeKind] = mapped_column(closed_set(NoticeKind, "kind"))
+    team_id: Mapped[UUID] = mapped_column(ForeignKey("teams.id", ondelete="CASCADE"))
+    subject: Mapped[str]
+    channel: Mapped[NoticeChannel] = mapped_column(closed_set(NoticeChannel, "channel"))
+    target: Mapped[str]
+    facts: Mapped[dict[str, Any]]
+    created_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    due_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    attempts: Mapped[int] = mapped_column(default=0, server_default=text("0"))
+    sent_at: Mapped[datetime | None]
+    given_up_at: Mapped[datetime | None]
+    problem: Mapped[str | None]

@@ -10,9 +10,8 @@ from vitac.errors import VitacError
 from vitac.evaluator.agent.isolation import packages
 from vitac.evaluator.agent.session import PolicySession
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
-from vitac.evaluator.episodes.episode import make_environment
+from vitac.evaluator.episodes.episode import make_environment, resimulate
 from vitac.evaluator.episodes.records import EpisodeOutcome, result_hash
-from vitac.evaluator.episodes.replay import resimulate
 from vitac.evaluator.evaluation.local import LocalEvaluation, evaluate
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.logs.log import LogHeader

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from evaluation_records import make_record
 from unpacked_files import unpack
-from vitac.evaluator.episodes.episode import make_environment
+from vitac.evaluator.episodes.episode import make_environment, resimulate
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome
-from vitac.evaluator.episodes.replay import resimulate
-from vitac.evaluator.playback.making import SCENE_FILE, STILL_FILE, PlaybackOrder
-from vitac.evaluator.playback.process import making
+from vitac.evaluator.playback import SCENE_FILE, STILL_FILE, PlaybackOrder, making
 from vitac.evaluator.tracks import find_task
 
 

@@ -14,7 +14,7 @@ import pytest
 import yaml
 from cubes_track import FILE
 from submissions import submission_folder
-from vitac.envs.maniskill import state as state_module
+from vitac.envs.maniskill import env as state_module
 from vitac.envs.maniskill.definition import ManiSkillSettings
 from vitac.envs.maniskill.env import ManiSkillEnv, ManiSkillFailed, ManiSkillMissing, missing_packages
 from vitac.envs.maniskill.env import made as made_by_name

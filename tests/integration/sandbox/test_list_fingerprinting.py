@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from submissions import submission_folder
 from vitac.evaluator.agent.session import PolicySession
 from vitac.evaluator.episodes.episode import make_environment
-from vitac.evaluator.episodes.reading import Observation
+from vitac.evaluator.episodes.records import Observation
 from vitac.evaluator.tracks import Episode, Task, load_track
 from vitac.evaluator.tracks.sealed import sealed_track
 

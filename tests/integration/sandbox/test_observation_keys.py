@@ -7,7 +7,7 @@ import pytest
 from submissions import submission_folder
 from vitac.evaluator.agent.session import PolicySession
 from vitac.evaluator.episodes.episode import make_environment, open_episode
-from vitac.evaluator.episodes.reading import make_reading
+from vitac.evaluator.episodes.records import make_reading
 from vitac.evaluator.submission.manifest import ManifestRejected, load_manifest
 from vitac.evaluator.tracks import load_track
 

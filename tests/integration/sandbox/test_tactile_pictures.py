@@ -10,9 +10,8 @@ import pytest
 from numpy.typing import NDArray
 from submissions import submission_folder
 from vitac.evaluator.agent.session import PolicySession
-from vitac.evaluator.episodes.episode import make_environment, run_episode
-from vitac.evaluator.episodes.reading import make_reading
-from vitac.evaluator.episodes.replay import resimulate
+from vitac.evaluator.episodes.episode import make_environment, resimulate, run_episode
+from vitac.evaluator.episodes.records import make_reading
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.definition import Task
 

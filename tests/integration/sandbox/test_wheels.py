@@ -12,7 +12,7 @@ from vitac.evaluator.shards.process import ShardProcesses
 from vitac.evaluator.submission.sources import staged
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
-from vitac.evaluator.tracks.cut import cut
+from vitac.evaluator.tracks.definition import cut
 
 POLICY = """
 import feelings, numpy

@@ -31,7 +31,7 @@ from vitac.evaluator.evaluation.local import evaluate
 from vitac.evaluator.shards.process import ShardProcesses
 from vitac.evaluator.submission.sources import staged
 from vitac.evaluator.tracks import Task, load_track
-from vitac.evaluator.tracks.cut import ShardEpisodes, cut
+from vitac.evaluator.tracks.definition import ShardEpisodes, cut
 from vitac.evaluator.tracks.sealed import new_secret, sealed_track
 from vitac.server.competitions.sealing import seal
 from vitac.server.database.models import Appeal, BoardResult, EpisodeResult, Evaluation

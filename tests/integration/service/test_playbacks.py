@@ -12,9 +12,8 @@ from asked_playbacks import Played
 from databases import opened_database
 from service_factories import TASK, claim, make_principal, make_record, make_settings, shard_ids, store, submit
 from unpacked_files import unpack
-from vitac.evaluator.episodes.episode import make_environment
+from vitac.evaluator.episodes.episode import make_environment, resimulate
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord
-from vitac.evaluator.episodes.replay import resimulate
 from vitac.evaluator.tracks import find_task
 from vitac.server.database.states import WorkState
 from vitac.server.playbacks.asking import PlaybackFile, find_digest

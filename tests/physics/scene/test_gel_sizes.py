@@ -9,7 +9,7 @@ from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import Clocks, Stopwatch
 from vitac.envs.tactile.gel import GelCells, GelDimensions, gelsight_mini_mesh, structured_gel
 from vitac.envs.tasks.insertion.interface import PegOffset
-from vitac.envs.tasks.peg_insertion.scene import PegInsertionSettings, PegScene, PegStart
+from vitac.envs.tasks.peg_insertion.env import PegInsertionSettings, PegScene, PegStart
 
 FINE = structured_gel(name="fine", cells=GelCells(x=8, y=7, layers=2))
 THICK_DOME = structured_gel(

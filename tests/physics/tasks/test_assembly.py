@@ -8,8 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from vitac.envs.scene.gripper import SENSOR_COUNT
 from vitac.envs.tactile.gel import GelCells, structured_gel
-from vitac.envs.tasks.assembly.env import AssemblyEnv, fetch_insert_and_turn
-from vitac.envs.tasks.assembly.scene import assembly_physics
+from vitac.envs.tasks.assembly.env import AssemblyEnv, assembly_physics, fetch_insert_and_turn
 
 FloatArray = NDArray[np.float64]
 START = {"shape": "narrow", "offset_mm_deg": (0.0, -0.5, 0.0), "rng_seed": (0, 1)}

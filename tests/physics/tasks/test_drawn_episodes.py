@@ -4,8 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from vitac.evaluator.episodes.episode import json_info, make_environment
-from vitac.evaluator.episodes.replay import resimulate
+from vitac.evaluator.episodes.episode import json_info, make_environment, resimulate
 from vitac.evaluator.tracks import Task, find_task
 
 TASKS = [

@@ -5,9 +5,8 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from vitac.evaluator.episodes.episode import make_environment
+from vitac.evaluator.episodes.episode import make_environment, resimulate
 from vitac.evaluator.episodes.records import EpisodeOutcome
-from vitac.evaluator.episodes.replay import resimulate
 from vitac.evaluator.logs.resimulation import read_recordings
 from vitac.evaluator.logs.text_2025 import check, find_script, read_text_log, summarize
 from vitac.evaluator.logs.text_2025.recordings import explain_not_resimulated, text_log_recordings

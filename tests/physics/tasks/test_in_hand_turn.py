@@ -8,8 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from vitac.envs.scene.gripper import SENSOR_COUNT
 from vitac.envs.tactile.gel import GelCells, structured_gel
-from vitac.envs.tasks.in_hand_turn.env import InHandTurnEnv, press_until_it_stays
-from vitac.envs.tasks.in_hand_turn.scene import turn_physics
+from vitac.envs.tasks.in_hand_turn.env import InHandTurnEnv, press_until_it_stays, turn_physics
 
 FloatArray = NDArray[np.float64]
 START = {"shape": "narrow", "start_mm_deg": (3.0, -2.0, 20.0), "rng_seed": (0, 1)}

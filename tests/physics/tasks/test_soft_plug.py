@@ -13,8 +13,17 @@ from vitac.envs.fem.scene.report import StepStatus
 from vitac.envs.fem.scene.scene import Scene
 from vitac.envs.scene.gripper import SENSOR_COUNT
 from vitac.envs.tasks.settings import arena_physics
-from vitac.envs.tasks.soft_plug.env import CableEndEnv, SoftPlugEnv, touch_then_push
-from vitac.envs.tasks.soft_plug.scene import CELLS, FORMS, POISSON_RATIO, CableShape, plug_mesh, stiffening
+from vitac.envs.tasks.soft_plug.env import (
+    CELLS,
+    FORMS,
+    POISSON_RATIO,
+    CableEndEnv,
+    CableShape,
+    SoftPlugEnv,
+    plug_mesh,
+    stiffening,
+    touch_then_push,
+)
 
 HELD, FIXED = SENSOR_COUNT, SENSOR_COUNT + 1
 GEL_FRICTION, PART_FRICTION = 1.0, 0.3
@@ -97,7 +106,7 @@ def test_half_the_step_of_time_gives_the_same(beside_the_hole: Any) -> None:
 
 @pytest.mark.slow
 def test_finer_cells_of_the_plug_change_little(beside_the_hole: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vitac.envs.tasks.soft_plug.scene.CELLS", replace(CELLS, layers=14))
+    monkeypatch.setattr("vitac.envs.tasks.soft_plug.env.CELLS", replace(CELLS, layers=14))
     finer = pressed(*[DOWN] * 5)
     force_n = beside_the_hole.scene.force_on_held_n(FIXED)
     assert finer.scene.force_on_held_n(FIXED)[2] == pytest.approx(force_n[2], rel=0.05)
@@ -205,7 +214,7 @@ def test_half_the_step_of_time_and_finer_cells_change_the_force_on_a_cable_littl
     neck = [(8.0 + 0.5 * layer, 3.0) for layer in range(25)]
     levels_mm = (*form.levels_mm[:3], *neck, *form.levels_mm[16:])
     monkeypatch.setitem(FORMS, CableShape.CABLE, form._replace(levels_mm=levels_mm, neck=range(3, 28)))
-    monkeypatch.setattr("vitac.envs.tasks.soft_plug.scene.CELLS", replace(CELLS, x=4, y=4))
+    monkeypatch.setattr("vitac.envs.tasks.soft_plug.env.CELLS", replace(CELLS, x=4, y=4))
     finer = pressed_cable(3)
     force_n = coarse.scene.force_on_held_n(FIXED)
     assert force_n[2] > 0.9

@@ -12,7 +12,7 @@ from vitac.envs.sensor_design.surface import DrawnSurface
 from vitac.envs.sensor_design.tetrahedra import Tetrahedra
 from vitac.envs.tactile.design import SensorDesign
 from vitac.evaluator.sensors.check import check_sensor
-from vitac.evaluator.sensors.limits import sensor_limits
+from vitac.evaluator.sensors.findings import sensor_limits
 
 FloatArray = NDArray[np.float64]
 Cells = tuple[int, int, int]

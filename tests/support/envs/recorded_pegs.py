@@ -9,7 +9,7 @@ from vitac.envs.fem.scene.report import StepReport
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import Clocks, GraspedScene, Stopwatch
 from vitac.envs.tasks.insertion.interface import PegOffset
-from vitac.envs.tasks.peg_insertion.scene import PegInsertionSettings, PegScene, PegStart
+from vitac.envs.tasks.peg_insertion.env import PegInsertionSettings, PegScene, PegStart
 
 FloatArray = NDArray[np.float64]
 OffsetMmDeg = tuple[float, float, float]

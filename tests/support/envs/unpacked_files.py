@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from vitac.envs.playback_files.container import MAGIC
+from vitac.envs.playback_files.scene import MAGIC
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -13,10 +13,10 @@ from typing import Any
 
 from evaluation_fakes import FakeEnvironment, FakeSession, action, cannot_load, fail, succeed
 from evaluation_records import make_manifest
+from vitac.evaluator import estimator
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.agent.verdicts import SandboxFailed
-from vitac.evaluator.estimator import calibration
-from vitac.evaluator.estimator.regression import Coefficients
+from vitac.evaluator.estimator import Coefficients
 from vitac.evaluator.shards import execution, host
 from vitac.evaluator.shards.order import OrderedShard, ShardEnd, ShardResult
 from vitac.evaluator.submission.manifest import SubmissionManifest
@@ -92,8 +92,8 @@ def run_estimator(ordered: OrderedShard, _on_episode: object) -> ShardResult:
     """Plays nothing, and tells with what it would have played."""
     order, task = ordered.order, ordered.task
     assert order.sensor is not None
-    manifest, handed_over = make_manifest(task=task.name), calibration.is_calibrated(task, order.sensor)
-    coefficients = order.coefficients or (calibration.calibrated(task, order.sensor) if handed_over else None)
+    manifest, handed_over = make_manifest(task=task.name), estimator.is_calibrated(task, order.sensor)
+    coefficients = order.coefficients or (estimator.calibrated(task, order.sensor) if handed_over else None)
     return ShardResult(
         index=ordered.shard.index, end=ShardEnd.COMPLETE, manifest=manifest, isolation=None, coefficients=coefficients
     )

@@ -3,9 +3,8 @@
 import numpy as np
 from evaluation_records import make_record
 from numpy.typing import NDArray
-from vitac.evaluator.episodes.episode import make_environment
+from vitac.evaluator.episodes.episode import make_environment, resimulate
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord
-from vitac.evaluator.episodes.replay import resimulate
 from vitac.evaluator.tracks import Task
 
 

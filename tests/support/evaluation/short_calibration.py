@@ -5,7 +5,7 @@ A whole calibration plays 180 episodes, 15 s in each of the two runs of a sensor
 
 import sys
 
-from vitac.evaluator.estimator import calibration
+from vitac.evaluator import estimator
 from vitac.evaluator.shards import host
 
 COMMAND = (sys.executable, "-P", __file__)
@@ -13,8 +13,8 @@ STARTS = 6
 
 
 def shorten() -> None:
-    calibrate = calibration.calibrate
-    setattr(calibration, "calibrate", lambda *of, **given: calibrate(*of, starts=STARTS, **given))  # noqa: B010
+    calibrate = estimator.calibrate
+    setattr(estimator, "calibrate", lambda *of, **given: calibrate(*of, starts=STARTS, **given))  # noqa: B010
 
 
 if __name__ == "__main__":

@@ -23,20 +23,15 @@ from vitac.envs.fem.scene.report import StepReport, StepStatus
 from vitac.envs.geometry.keys_and_locks import KeyShape
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.scene.grasped_scene import GraspedScene, PhysicsSettings
-from vitac.envs.tasks.assembly.env import LARGEST_MM_DEG, AssemblyEnv
-from vitac.envs.tasks.assembly.scene import HeadShape
+from vitac.envs.tasks.assembly.env import LARGEST_MM_DEG, AssemblyEnv, HeadShape
 from vitac.envs.tasks.explore.definition import EndShape
 from vitac.envs.tasks.explore.env import ExploreEnv
-from vitac.envs.tasks.in_hand_turn.env import DRAWN, InHandTurnEnv
-from vitac.envs.tasks.in_hand_turn.scene import RodShape
-from vitac.envs.tasks.lock_opening.env import LockOpeningEnv
-from vitac.envs.tasks.lock_opening.scene import lock_physics
+from vitac.envs.tasks.in_hand_turn.env import DRAWN, InHandTurnEnv, RodShape
+from vitac.envs.tasks.lock_opening.env import LockOpeningEnv, lock_physics
 from vitac.envs.tasks.moving_hole.env import MovingHoleEnv
 from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
-from vitac.envs.tasks.slip.env import SlipEnv
-from vitac.envs.tasks.slip.scene import SlipShape
-from vitac.envs.tasks.soft_plug.env import CableEndEnv, SoftPlugEnv
-from vitac.envs.tasks.soft_plug.scene import PlugShape
+from vitac.envs.tasks.slip.env import SlipEnv, SlipShape
+from vitac.envs.tasks.soft_plug.env import CableEndEnv, PlugShape, SoftPlugEnv
 from vitac.envs.tasks.task_env import TactileTaskEnv
 
 PEG, LOCK, MOVING, EXPLORE, TURN, SLIP, PLUG = "peg", "lock", "moving", "explore", "turn", "slip", "plug"

@@ -6,10 +6,8 @@ import numpy as np
 from service_factories import ISOLATION, claim, make_record, shard_ids
 from sqlalchemy.dialects.postgresql import insert
 from vitac.envs.tactile.design import SensorDesign
-from vitac.evaluator.episodes.episode import Environment, make_environment
-from vitac.evaluator.episodes.provenance import make_manifest
-from vitac.evaluator.episodes.records import ActionSequence, EpisodeRecord
-from vitac.evaluator.episodes.replay import resimulate
+from vitac.evaluator.episodes.episode import Environment, make_environment, resimulate
+from vitac.evaluator.episodes.records import ActionSequence, EpisodeRecord, make_manifest
 from vitac.evaluator.shards.order import ShardEnd, ShardResult
 from vitac.evaluator.tracks import find_task
 from vitac.server.database.engine import Database

@@ -58,7 +58,7 @@ from vitac.server.storage.blobs import BlobStore
 from vitac.server.submissions import creation
 from vitac.web.application import create
 from vitac.web.front import Recent
-from vitac.web.session.signer import COOKIE, SessionSigner, begin
+from vitac.web.session import COOKIE, SessionSigner, begin
 from vitac.web.site import FRONT_KEPT_S
 
 from competitions import put_in_place

@@ -28,7 +28,7 @@ from vitac.server.competitions.definition import CompetitionDefinition
 from vitac.server.competitions.stages import Stage
 from vitac.server.database.models import SubmissionFile
 from vitac.server.database.states import OPEN_WORK_STATES, FileRole
-from vitac.server.decisions.trial_plan import begin, planned_trials
+from vitac.server.decisions.station_trials import begin, planned_trials
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import creation
 from vitac.station.description import make_station_track

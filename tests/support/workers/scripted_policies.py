@@ -5,10 +5,10 @@ from contextlib import contextmanager
 
 import numpy as np
 from numpy.typing import NDArray
-from vitac.evaluator.agent.protocol.frames import CloudSpec
+from vitac.evaluator.agent.protocol import CloudSpec
 from vitac.evaluator.agent.session import Isolation
 from vitac.evaluator.episodes.episode import PlayingPolicy
-from vitac.evaluator.episodes.reading import Observation
+from vitac.evaluator.episodes.records import Observation
 
 Act = Callable[[Observation, int], NDArray[np.float32]]
 

@@ -11,7 +11,7 @@ from vitac.cli.service.web_server import no_collections
 
 with no_collections():  # as in `vitac worker`
     from vitac.evaluator.tracks import Task
-    from vitac.evaluator.tracks.cut import ShardEpisodes, cut
+    from vitac.evaluator.tracks.definition import ShardEpisodes, cut
     from vitac.server.evaluations import lifecycle
 
 EPISODES = (1, 2, 3, 4, 31, 32, 33, 34)

@@ -8,13 +8,13 @@ from text_log_writer import text_log
 from vitac.cli import main as cli
 from vitac.evaluator.episodes import episode as episode_module
 from vitac.evaluator.episodes.records import EpisodeRecord, Manifest
-from vitac.evaluator.logs import text_log_check
+from vitac.evaluator.logs import resimulation
 from vitac.evaluator.logs.log import LogHeader, write_log
 from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.shards import policy
 from vitac.evaluator.shards.policy import run_shard
 from vitac.evaluator.tracks import find_task
-from vitac.evaluator.tracks.cut import cut
+from vitac.evaluator.tracks.definition import cut
 
 TRACK, TASK = find_task("peg-insertion")
 
@@ -234,7 +234,7 @@ def a_text_log_file(path: Path, *, tests: int = 270, team: str = "1") -> Path:
 def test_verify_says_what_a_text_log_can_be_checked_for_and_shows_both_rates(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(text_log_check, "make_environment", lambda *_: FakeEnvironment())
+    monkeypatch.setattr(resimulation, "make_environment", lambda *_: FakeEnvironment())
     log = a_text_log_file(tmp_path / "organizers.log")
     code, told, _ = run(capsys, "verify", log)
     assert code == 1
@@ -252,7 +252,7 @@ def test_verify_says_what_a_text_log_can_be_checked_for_and_shows_both_rates(
 def test_verify_of_a_part_of_a_text_log_says_how_many_tests_are_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(text_log_check, "make_environment", lambda *_: FakeEnvironment())
+    monkeypatch.setattr(resimulation, "make_environment", lambda *_: FakeEnvironment())
     code, told, _ = run(capsys, "verify", a_text_log_file(tmp_path / "part.log", tests=90))
     assert code == 1
     assert "90 tests, 180 missing" in told

@@ -16,7 +16,7 @@ from vitac.cli import sensor as sensor_command
 from vitac.cli.terminal import compiling
 from vitac.evaluator.figures.figures import SensorFigures
 from vitac.evaluator.sensors.check import accepted_sensor, check_sensor
-from vitac.evaluator.sensors.limits import sensor_limits
+from vitac.evaluator.sensors.findings import sensor_limits
 from vitac.evaluator.sensors.made import made_sensor
 from vitac.evaluator.shards import host_process
 

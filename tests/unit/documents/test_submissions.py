@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from vitac.evaluator.agent.protocol.frames import ACTION_TYPES
+from vitac.evaluator.agent.protocol import ACTION_TYPES
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.submission.manifest import parse_manifest
 

@@ -6,9 +6,9 @@ from vitac.envs.assets import AssetsMissing, Meshes, mesh_hash
 from vitac.envs.geometry.keys_and_locks import KeyShape
 from vitac.envs.geometry.pegs import PegShape
 from vitac.envs.geometry.stl import StlError
-from vitac.envs.tactile.gel_files import GelFilesError
-from vitac.envs.tasks.lock_opening.scene import key_mesh, lock_mesh
-from vitac.envs.tasks.peg_insertion.scene import PegInsertionSettings, hole_mesh, peg_mesh
+from vitac.envs.tactile.gel import GelFilesError
+from vitac.envs.tasks.lock_opening.env import key_mesh, lock_mesh
+from vitac.envs.tasks.peg_insertion.env import PegInsertionSettings, hole_mesh, peg_mesh
 
 
 def test_meshes_are_generated_by_default() -> None:

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from images import POLICY_FILE
-from vitac.evaluator.agent.protocol.channel import Channel
-from vitac.evaluator.agent.protocol.frames import AnswerKind, PolicyAnswer, PolicyQuestion, QuestionKind
+from vitac.evaluator.agent.protocol import AnswerKind, Channel, PolicyAnswer, PolicyQuestion, QuestionKind
 
 Policy = type("Policy", (), {"act": lambda self, seen: [seen["pair"].tolist()[1][0], float(seen["flag"][0]), 0]})
 

@@ -3,8 +3,7 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 from vitac.server.errors import ServiceSettingsError
-from vitac.server.settings import Registration, load_settings
-from vitac.server.state_directory import choose_state_directory, others_can_enter
+from vitac.server.settings import Registration, choose_state_directory, load_settings, others_can_enter
 
 
 def test_values_come_from_the_environment_and_arguments_win(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

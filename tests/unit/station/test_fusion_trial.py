@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from vitac.evaluator.agent.protocol.frames import CloudSpec
+from vitac.evaluator.agent.protocol import CloudSpec
 from vitac.evaluator.agent.session import Isolation
 from vitac.evaluator.episodes.episode import PlayingPolicy
-from vitac.evaluator.episodes.reading import Observation, make_reading
+from vitac.evaluator.episodes.records import Observation, make_reading
 from vitac.evaluator.strict_model import validate
 from vitac.evaluator.tracks import Episode, load_track
 from vitac.station.check import check_station

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scripted_policies import Act, Scripted
-from vitac.evaluator.episodes.reading import Observation, make_reading
+from vitac.evaluator.episodes.records import Observation, make_reading
 from vitac.evaluator.strict_model import validate
 from vitac.evaluator.tracks import Episode, load_track
 from vitac.station.description import StationDescription, StationTask

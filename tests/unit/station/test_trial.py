@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scripted_policies import Act, Scripted
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
-from vitac.evaluator.episodes.reading import Observation, make_reading
+from vitac.evaluator.episodes.records import Observation, make_reading
 from vitac.evaluator.strict_model import validate
 from vitac.evaluator.tracks import Episode, load_track
 from vitac.station import trial

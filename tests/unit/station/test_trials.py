@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from vitac.envs.geometry.pegs import PegShape
 from vitac.evaluator.agent.verdicts import PolicyFailed, VerdictCode
-from vitac.evaluator.episodes.reading import make_reading
-from vitac.evaluator.episodes.records import EpisodeOutcome, TrialEvidence
+from vitac.evaluator.episodes.records import EpisodeOutcome, TrialEvidence, make_reading
 from vitac.evaluator.shards.order import AttemptSpent, ShardEnd, ShardOrder
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Episode, load_track

@@ -11,8 +11,7 @@ from sqlalchemy.orm import Session
 from structlog.testing import capture_logs
 from vitac.errors import VitacError
 from vitac.server.database.states import WorkKind
-from vitac.server.queue.kinds import KINDS
-from vitac.server.queue.work import Claim, LeaseLost
+from vitac.server.queue.work import KINDS, Claim, LeaseLost
 from vitac.worker import leased_run
 from vitac.worker.leased_run import DATABASE_PATIENCE_S, FULL_DISK_PAUSE_S, LeasedRun, RunEnd
 

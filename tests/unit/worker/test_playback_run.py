@@ -10,8 +10,7 @@ from asked_playbacks import Played, played
 from service_factories import take
 from shown_sensors import a_made_sensor
 from sqlalchemy import text
-from vitac.evaluator.playback.making import CAMERAS_FILE, SCENE_FILE, PlaybackOrder
-from vitac.evaluator.playback.process import MakingBroke, PlaybackFailed
+from vitac.evaluator.playback import CAMERAS_FILE, SCENE_FILE, MakingBroke, PlaybackFailed, PlaybackOrder
 from vitac.server.database.models import Playback
 from vitac.server.database.states import WorkState
 from vitac.server.errors import ProblemCode, ServiceError

@@ -31,7 +31,7 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 from structlog.testing import capture_logs
 from vitac.evaluator.episodes.records import EpisodeRecord, TrialEvidence, TrialVideo
-from vitac.evaluator.estimator.regression import Coefficients
+from vitac.evaluator.estimator import Coefficients
 from vitac.evaluator.figures.figures import FiguresPart
 from vitac.evaluator.package_sets import digest_of_packages
 from vitac.evaluator.shards.host_process import ShardProcessFailed

@@ -10,7 +10,7 @@ from service_factories import make_principal, make_record, make_upload, shard_id
 from sqlalchemy import select, text
 from sqlalchemy.orm import Session
 from vitac.evaluator.episodes.records import EpisodeRecord
-from vitac.evaluator.playback.making import SCENE_FILE, PlaybackOrder
+from vitac.evaluator.playback import SCENE_FILE, PlaybackOrder
 from vitac.evaluator.shards.order import ShardOrder, ShardResult
 from vitac.server.database.metrics import SeriesKey, totals
 from vitac.server.database.models import EpisodeResult, Playback, Shard, Submission

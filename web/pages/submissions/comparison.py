@@ -15,7 +15,7 @@ from vitac.server.views.comparisons import ComparedEndView, ComparedEpisodeView,
 
 from ...site import Viewer, get_principal, get_site, get_viewer, open_to_all, page
 from ..addresses import as_id
-from ..files.formats import csv_file, json_file
+from ..files import csv_file, json_file
 
 ADDRESS = "/compare"
 OFFERED = 20

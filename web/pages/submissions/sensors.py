@@ -24,7 +24,7 @@ from ...plots.files import find_plot_file
 from ...plots.sensors import HEIGHT_SCALE, find_largest, marker_picture, quality_histogram, sensitivity_maps, still
 from ...site import Site, get_principal, get_site, get_viewer, open_to_all, page, require_viewer
 from ..addresses import as_id
-from ..episodes.page import player_script
+from ..episodes import player_script
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,42 +1,54 @@
-"""Pages of a team's submissions: the list, one submission, its live updates, and cancelling."""
+"""Pages of submissions: the list, one with its plots and live updates, its policy's output, and how it is shared."""
 
+import asyncio
 from collections.abc import AsyncIterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from hashlib import sha256
 from http import HTTPStatus
 from typing import Any, cast
 from uuid import UUID
 
 from sqlalchemy.orm import Session
 from sse_starlette import ServerSentEvent
+from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.tracks import UnknownTrack, load_track
+from vitac.server.api.conditional import answer
 from vitac.server.api.streams import CountedStream, OpenStreams
 from vitac.server.competitions.view import competition_list_view, track_stages
 from vitac.server.database.states import TERMINAL_EVALUATION_STATES, EvaluationState
 from vitac.server.errors import TRACK_REMOVED
+from vitac.server.leaderboards import public_pages
 from vitac.server.playbacks.stills import find_stills, list_stills
+from vitac.server.principals import VISITOR
+from vitac.server.submissions import listing
 from vitac.server.submissions.appeals import takes_appeals
+from vitac.server.submissions.files import episode_outputs
 from vitac.server.submissions.listing import list_submissions
 from vitac.server.submissions.watch import SubmissionWatch
 from vitac.server.tracks import known_task
 from vitac.server.views.comparisons import StillView
 from vitac.server.views.evaluations import TaskProgressView
+from vitac.server.views.leaderboards import PastResultView
 from vitac.server.views.scores import PracticeScoreView, TaskScoreView
 from vitac.server.views.submissions import EpisodeView, RankView, SubmissionListView, SubmissionView
 
+from ...plots.axis import Figure
+from ...plots.dates import DatedValue, values_by_date
+from ...plots.draws import peak_forces, success_by_draw
+from ...plots.episodes import count_outcomes, offset_maps, steps_histogram, success_by_shape
 from ...plots.files import find_plot_file
 from ...plots.map import EpisodeMap, episode_map, title_of_task
 from ...rendering import render
-from ...site import Site, Viewer, get_principal, get_site, get_viewer, open_to_all, page, require_viewer
+from ...sharing import Citation, cite, draw_preview
+from ...site import Site, Tab, Viewer, get_principal, get_site, get_viewer, open_to_all, page, require_viewer
 from ..addresses import as_id, board_address, board_query
-from ..leaderboards.tabs import find_stage_title
+from ..leaderboards import find_stage_title
 from ..submission_detail import SubmissionDetail, read_detail
 from ..tracks import NO_SCENE, find_scene
-from .figures import figures, list_figures
-from .sharing import shared
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,3 +233,180 @@ def seconds_taken(view: SubmissionView) -> float | None:
     if evaluation.started_at is None or evaluation.finished_at is None:
         return None
     return (evaluation.finished_at - evaluation.started_at).total_seconds()
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskFigures:
+    """The plots of one task.
+
+    Attributes:
+        title: of the task.
+        maps: outcomes by start offset, one for each shape.
+        outcomes: those in the maps.
+        draws: success against each drawn quantity.
+        figures: the others.
+    """
+
+    title: str
+    maps: Sequence[Figure]
+    outcomes: Sequence[EpisodeOutcome]
+    draws: Sequence[Figure]
+    figures: Sequence[Figure]
+
+
+def figures(
+    site: Site,
+    view: SubmissionView,
+    titles: dict[str, str],
+    episodes: Sequence[EpisodeView],
+    past: Sequence[PastResultView],
+) -> dict[str, Any]:
+    """Return the plots of a complete evaluation, and those of the team's submissions until now.
+
+    The first never change for somebody who sees the same episodes; the others change with the next result of the team.
+    """
+    if view.evaluation.state is not EvaluationState.COMPLETED:
+        return {"plots": (), "history": ()}
+    reached = tuple((result.task, result.submission_id, result.value) for result in past)
+    return {
+        "plots": site.plots.get(
+            (view.evaluation.id, len(episodes)),
+            lambda: [_draw_task(view, score, titles[score.task], episodes) for score in view.evaluation.scores],
+        ),
+        "history": site.plots.get((view.id, reached), lambda: _histories(view, titles, past)),
+    }
+
+
+def list_figures(drawn: Mapping[str, Any]) -> list[Figure]:
+    """Return all plots that `figures` has made."""
+    tasks: Sequence[TaskFigures] = drawn["plots"]
+    return [*(each for task in tasks for each in (*task.maps, *task.figures, *task.draws)), *drawn["history"]]
+
+
+def _draw_task(view: SubmissionView, score: TaskScoreView, title: str, episodes: Sequence[EpisodeView]) -> TaskFigures:
+    ends = [end for end in episodes if end.task == score.task]
+    # A stage's own list has other starts than the track file, from which the map takes them.
+    known = view.evaluation.commitment is None
+    return TaskFigures(
+        title=title,
+        maps=offset_maps(view.track, score.task, {end.episode: end for end in ends}) if known else (),
+        outcomes=count_outcomes(ends),
+        draws=success_by_draw(view.track, score.task, ends),
+        figures=(success_by_shape(score), *_figures_of_episodes(score.task, ends)),
+    )
+
+
+def _figures_of_episodes(task: str, ends: Sequence[EpisodeView]) -> list[Figure]:
+    forces = peak_forces(task, ends)
+    return [*([steps_histogram(task, ends)] if ends else []), *([forces] if forces else [])]
+
+
+def _histories(view: SubmissionView, titles: dict[str, str], past: Sequence[PastResultView]) -> list[Figure]:
+    """Return the history of the team in each task in which it has more than one result."""
+    shown = []
+    for task in view.tasks:
+        results = [(result, result.value) for result in past if result.task == task and result.value is not None]
+        points = [
+            DatedValue(
+                name=result.submission_name,
+                at=result.submitted_at,
+                value=value,
+                own=result.submission_id == view.id,
+            )
+            for result, value in results
+        ]
+        if len(points) > 1:
+            shown.append(values_by_date(f"history-{task}", titles[task], points, results[0][0].ranked_by))
+    return shown
+
+
+async def output(request: Request) -> Response:
+    """Show the output of a task's episodes, a page of them."""
+    viewer = await require_viewer(request)
+    submission_id = as_id(request.path_params["submission_id"])
+    task, after = request.query_params.get("task"), _number(request.query_params.get("after", "0"))
+    settings = get_site(request).services.settings
+    view, shown = await get_site(request).ask(
+        lambda session: (
+            listing.get(session, settings, viewer.principal, submission_id),
+            episode_outputs(session, viewer.principal, submission_id, task, after=after),
+        )
+    )
+    track, address = load_track(view.track), f"/submissions/{submission_id}/output"
+    return page(
+        request,
+        "output.html",
+        viewer=viewer,
+        section="/submissions",
+        submission=view,
+        shown=shown,
+        tabs=[
+            Tab(title=track.task(name).title, target=f"{address}?task={name}", current=name == (task or view.tasks[0]))
+            for name in view.tasks
+        ],
+        older=f"{address}?task={task or view.tasks[0]}&after={shown.next_after}",
+    )
+
+
+def _number(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and len(text) < 10):
+        raise HTTPException(400, f"Expected the number of an episode, got {text!r:.40}.")
+    return int(text)
+
+
+KEPT_S = 300
+"""So long others may show a picture without asking for it again [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shared:
+    """How a submission is shared on its page.
+
+    Attributes:
+        address: of its page.
+        may_change: whether the visitor decides who sees it.
+        is_public: whether everybody sees it now.
+        citation: of a complete one.
+    """
+
+    address: str
+    may_change: bool
+    is_public: bool
+    citation: Citation | None
+
+
+async def shared(request: Request, viewer: Viewer | None, view: SubmissionView, track: str) -> Shared:
+    """Return how a submission of a track with that title is shared."""
+    is_complete = view.evaluation.state is EvaluationState.COMPLETED
+    site = get_site(request)
+    address = f"{site.address(request)}/submissions/{view.id}"
+    is_shown = (
+        is_complete
+        and view.public
+        and view.id in await site.read(lambda session: public_pages.public_among(session, [view.id]))
+    )
+    return Shared(
+        address=address,
+        may_change=viewer is not None and viewer.may_change(view.team.name),
+        is_public=is_shown,
+        citation=cite(view, track, address) if is_complete else None,
+    )
+
+
+@open_to_all
+async def preview(request: Request) -> Response:
+    """Answer with the picture that a link to a public submission is shown with elsewhere; for everybody the same."""
+    site, submission_id = get_site(request), as_id(request.path_params["submission_id"])
+    detail = await site.read(lambda session: read_detail(session, site.services.settings, VISITOR, submission_id))
+    view, title = detail.submission, load_track(detail.submission.track).title
+    shown = f"{view.evaluation.id} {view.played_rank} {len(detail.episodes)} {view.name!r} {view.team.name!r}"
+    picture = await asyncio.to_thread(
+        site.previews.get, shown, lambda: draw_preview(view, title, detail.episodes, site.preview_font)
+    )
+    return answer(
+        request,
+        picture,
+        revision=sha256(picture).hexdigest()[:32],
+        media_type="image/png",
+        headers={"Cache-Control": f"public, max-age={KEPT_S}", "Cross-Origin-Resource-Policy": "cross-origin"},
+    )

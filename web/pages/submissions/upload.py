@@ -13,7 +13,7 @@ from vitac.server.submissions.intake import AnnouncedUpload
 from vitac.server.submissions.upload import receive
 
 from ...headers import size
-from ...session.file_form import read_file_form
+from ...session import read_file_form
 from ...site import Viewer, get_site, page, require_form_token, require_viewer
 from ..errors import wants_page
 

@@ -5,7 +5,7 @@ from cli_service import CliService, submission_folder
 from databases import fresh_database
 from vitac.cli.admin.machine import RESTART
 from vitac.cli.client.verbs import NOTHING_CHANGED
-from vitac.server.operations.restore import ServiceNotEmpty
+from vitac.server.operations.backup import ServiceNotEmpty
 
 
 def test_backup_is_restored_into_an_empty_service(service: CliService, tmp_path: Path) -> None:

@@ -19,8 +19,8 @@ RUN = """
 import sys
 from vitac.cli.demo import command
 from vitac.cli.main import main
-from vitac.cli.service import process_pool
-process_pool.COMMAND = (sys.argv[1],)
+from vitac.cli.service import process_tree
+process_tree.WORKER_COMMAND = (sys.argv[1],)
 command.WARM_UP = sys.argv[2]
 main(["demo", *sys.argv[3:]])
 """

@@ -6,8 +6,7 @@ from collections.abc import Iterator
 import pytest
 import typer
 from vitac.cli.main import main
-from vitac.cli.service import scale
-from vitac.cli.service.durations import parse_duration_s
+from vitac.cli.service.worker import _scale_until_stopped, parse_duration_s
 from vitac.server.database.availability import DatabaseUnreachable
 from vitac.worker import main as worker
 from vitac.worker.main import Stay, WorkerRefused
@@ -62,7 +61,7 @@ def test_jobs_that_end_at_once_are_submitted_at_ever_longer_intervals(
 
     monkeypatch.setattr(time, "sleep", pauses.append)
     with pytest.raises(StopIteration):
-        scale._scale_until_stopped(FakeScaler(), 15.0)  # type: ignore[arg-type]
+        _scale_until_stopped(FakeScaler(), 15.0)  # type: ignore[arg-type]
     assert pauses == [15.0, 30.0, 60.0, 60.0, 15.0, 15.0]
     said = capsys.readouterr().err
     assert "read their output" in said

@@ -2,7 +2,7 @@
 
 import numpy as np
 from vitac.envs.maniskill.definition import MODES, catalogue, find_definition
-from vitac.evaluator.agent.protocol.frames import array_code
+from vitac.evaluator.agent.protocol import array_code
 
 LARGEST_MB = 2.2
 """As much as an env step of our own task with cameras sends."""

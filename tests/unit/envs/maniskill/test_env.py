@@ -14,7 +14,15 @@ import pytest
 from fake_pick_cube import FakePickCube, in_place_of_maniskill
 from vitac.envs.maniskill import env as adapter
 from vitac.envs.maniskill.abilities import abilities
-from vitac.envs.maniskill.env import ManiSkillEnv, ManiSkillFailed, ManiSkillMissing, compute_seed
+from vitac.envs.maniskill.env import (
+    ManiSkillEnv,
+    ManiSkillFailed,
+    ManiSkillMissing,
+    compute_seed,
+    flattened,
+    parts_of_state,
+    unbatched,
+)
 from vitac.envs.tasks.definition import UnknownObservationKey
 from vitac.envs.tasks.settings import ResetOptionsError
 
@@ -319,3 +327,49 @@ def test_the_real_environment_is_played_on_a_gpu() -> None:
     assert {key: value.shape for key, value in observation.items()} == {"state": (42,)}
     _, reward, *_ = env.step(HOLD)
     assert (np.isfinite(reward), len(env.state_hash())) == (True, 64)
+
+
+class Tensor:
+    """What a torch tensor offers of itself here."""
+
+    def __init__(self, values: Any) -> None:
+        self._values = np.asarray(values)
+
+    def cpu(self) -> "Tensor":
+        return self
+
+    def numpy(self) -> np.ndarray:
+        return self._values
+
+
+OBSERVATION = {
+    "agent": {"qpos": Tensor(np.arange(9.0).reshape(1, 9)), "qvel": np.zeros((1, 9))},
+    "extra": {"is_grasped": Tensor([True]), "pose": Tensor(np.ones((1, 2, 3), np.float32))},
+    "sensor_param": {"hand": {"intrinsic": Tensor(np.eye(3)[None])}},
+    "sensor_data": {"hand": {"rgb": Tensor(np.zeros((1, 4, 5, 3), np.uint8))}},
+}
+
+
+def test_leaves_are_named_by_their_path_without_the_words_that_say_nothing() -> None:
+    assert {key: value.shape for key, value in flattened(OBSERVATION).items()} == {
+        "agent_qpos": (9,), "agent_qvel": (9,), "extra_is_grasped": (1,), "extra_pose": (2, 3),
+        "hand_intrinsic": (3, 3), "hand_rgb": (4, 5, 3),
+    }  # fmt: skip
+
+
+def test_truth_values_become_numbers_which_the_channel_carries() -> None:
+    grasped = unbatched(Tensor([True]))
+    assert (str(grasped.dtype), grasped.tolist()) == ("uint8", [1])
+
+
+def test_what_is_sent_is_not_the_simulations_own_memory() -> None:
+    values = np.zeros((1, 3), np.float32)
+    sent = unbatched(Tensor(values))
+    values[:] = 7.0
+    assert sent.tolist() == [0.0, 0.0, 0.0]
+
+
+def test_parts_of_the_state_are_counted_in_numbers() -> None:
+    assert parts_of_state({"agent": OBSERVATION["agent"], "extra": OBSERVATION["extra"]}) == [
+        ("agent_qpos", 9), ("agent_qvel", 9), ("extra_is_grasped", 1), ("extra_pose", 6),
+    ]  # fmt: skip

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from unpacked_files import unpack
 from vitac.envs.drawing.playback import EpisodePlayback
-from vitac.envs.playback_files.container import PlaybackTooLarge
+from vitac.envs.playback_files.scene import PlaybackTooLarge
 from vitac.envs.playback_files.stage import CAMERAS_BYTES, pack_cameras
 from vitac.envs.vision.camera import Sight
 

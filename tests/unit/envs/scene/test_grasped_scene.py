@@ -13,7 +13,7 @@ from vitac.envs.scene.grasped_scene import Clocks, GraspedScene, PhysicsSettings
 from vitac.envs.scene.gripper import UPRIGHT_MOUNTS, Gripper, GripperPose
 from vitac.envs.scene.measured_pose import held_pose_mm_deg, rigid_fit
 from vitac.envs.tactile.markers import MarkerSettings
-from vitac.envs.tasks.peg_insertion.scene import hole_mesh, peg_mesh
+from vitac.envs.tasks.peg_insertion.env import hole_mesh, peg_mesh
 
 POSE = GripperPose(x_m=0.0, y_m=0.0, z_m=0.0621, angle_rad=0.0, half_opening_m=0.0171)
 

@@ -7,8 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from vitac.envs.sensor_design.crossings import NONE, TOO_MANY, farthest, first_crossing
-from vitac.envs.sensor_design.sampling import MAX_SAMPLES, pulled_corners, samples_mm, samples_of_triangles_mm
-from vitac.envs.sensor_design.surface import DrawnSurface
+from vitac.envs.sensor_design.surface import (
+    MAX_SAMPLES,
+    DrawnSurface,
+    pulled_corners,
+    samples_mm,
+    samples_of_triangles_mm,
+)
 
 SOUND = {"flat": drawn_gels.flat, "ridge": drawn_gels.ridge, "pyramids": drawn_gels.pyramids, "dome": drawn_gels.dome}
 

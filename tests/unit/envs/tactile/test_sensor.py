@@ -9,7 +9,7 @@ from vitac.envs.tactile.gel import arena_gel_mesh, gelsight_mini_mesh
 from vitac.envs.tactile.markers import MarkerSettings, find_in_picture
 from vitac.envs.tactile.response import Response, compute_response
 from vitac.envs.tactile.sensor import NoReferenceCaptured, TactileSensor
-from vitac.envs.tasks.lock_opening import scene as lock
+from vitac.envs.tasks.lock_opening import env as lock
 
 
 def sensor_and_view() -> tuple[TactileSensor, np.ndarray]:

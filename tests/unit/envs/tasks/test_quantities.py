@@ -11,8 +11,7 @@ from vitac.envs.tactile.camera import CameraMount
 from vitac.envs.tactile.markers import MountedMarkerSettings
 from vitac.envs.tasks.fusion_insertion.env import FusionInsertionEnv
 from vitac.envs.tasks.lock_opening.env import LockOpeningEnv
-from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv
-from vitac.envs.tasks.peg_insertion.scene import PegInsertionSettings
+from vitac.envs.tasks.peg_insertion.env import PegInsertionEnv, PegInsertionSettings
 from vitac.envs.tasks.quantities import (
     Quantity,
     Randomization,

@@ -10,8 +10,14 @@ import pytest
 from vitac.evaluator.agent.exchange import LOADER_PID, Deadlines, EpisodeProcess, Exchange
 from vitac.evaluator.agent.isolation.sandbox import Resources
 from vitac.evaluator.agent.limits import MIB, Limits
-from vitac.evaluator.agent.protocol.channel import ChannelClosed
-from vitac.evaluator.agent.protocol.frames import AnswerHeader, AnswerKind, PolicyAnswer, PolicyQuestion, QuestionKind
+from vitac.evaluator.agent.protocol import (
+    AnswerHeader,
+    AnswerKind,
+    ChannelClosed,
+    PolicyAnswer,
+    PolicyQuestion,
+    QuestionKind,
+)
 from vitac.evaluator.agent.verdicts import PolicyFailed, SandboxFailed, VerdictCode
 
 PROCESS = EpisodeProcess(outside_pid=4711, inside_pid=7)

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 from vitac.evaluator.figures.figures import FORMAT, Variation
+from vitac.evaluator.figures.starts import touch_figures
 from vitac.evaluator.figures.table import make_reference_looks, reference_design, reference_figures, reference_looks
-from vitac.evaluator.figures.touch import touch_figures
 
 
 def test_stored_figures_are_complete_and_of_these_definitions() -> None:

@@ -6,7 +6,7 @@ from tempfile import TemporaryDirectory
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from vitac.evaluator.logs.packing import MAX_UNPACKED_BYTES, UnpackFailed, UnpackProblem, open_log
+from vitac.evaluator.logs.log import MAX_UNPACKED_BYTES, UnpackFailed, UnpackProblem, open_log
 
 CONTENT = b"".join(b"line %d\n" % n for n in range(10_000))
 

@@ -6,17 +6,16 @@ from typing import Any
 import numpy as np
 import pytest
 from evaluation_fakes import FakeEnvironment, FakeSession, action, fail, small_track, succeed
-from vitac.evaluator.episodes.episode import run_episode
-from vitac.evaluator.episodes.provenance import make_manifest
+from vitac.evaluator.episodes.episode import resimulate, run_episode
 from vitac.evaluator.episodes.records import (
     ActionSequence,
     EpisodeOutcome,
     EpisodeRecord,
     Manifest,
     Timings,
+    make_manifest,
     result_hash,
 )
-from vitac.evaluator.episodes.replay import resimulate
 from vitac.evaluator.logs import verification
 from vitac.evaluator.logs.findings import VerificationResult, comparable
 from vitac.evaluator.logs.log import LogHeader

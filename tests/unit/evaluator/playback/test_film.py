@@ -10,9 +10,9 @@ from PIL import Image
 from resimulated_record import resimulated_record
 from vitac.envs.maniskill.env import ManiSkillMissing
 from vitac.envs.maniskill.film import Shot
+from vitac.evaluator import playback
 from vitac.evaluator.episodes.records import EpisodeRecord
-from vitac.evaluator.playback import making
-from vitac.evaluator.playback.making import (
+from vitac.evaluator.playback import (
     FILM_FILE,
     STILL_FILE,
     WIDTH_PX,
@@ -112,7 +112,7 @@ def test_without_a_driver_the_refusal_says_what_to_install(
 
     monkeypatch.setattr("vitac.envs.maniskill.env.made", no_driver)
     with pytest.raises(ManiSkillMissing, match="no Vulkan driver"):
-        making.make_film(task, record, lambda _: None, tmp_path)
+        playback.make_film(task, record, lambda _: None, tmp_path)
 
 
 def test_what_does_not_repeat_has_no_playbacks(task: Task) -> None:

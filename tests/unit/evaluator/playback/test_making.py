@@ -10,11 +10,10 @@ import pytest
 from evaluation_records import make_record
 from own_sensors import write_sensor
 from unpacked_files import unpack
-from vitac.evaluator.episodes.episode import make_environment
+from vitac.evaluator import playback as making
+from vitac.evaluator.episodes.episode import make_environment, resimulate
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord
-from vitac.evaluator.episodes.replay import resimulate
-from vitac.evaluator.playback import making
-from vitac.evaluator.playback.making import (
+from vitac.evaluator.playback import (
     CAMERAS_FILE,
     SCENE_FILE,
     STILL_FILE,

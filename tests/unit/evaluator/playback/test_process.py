@@ -5,9 +5,8 @@ from pathlib import Path
 
 import pytest
 from evaluation_records import make_record
-from vitac.evaluator.playback import process
-from vitac.evaluator.playback.making import PlaybackOrder
-from vitac.evaluator.playback.process import MakingBroke, PlaybackFailed, making
+from vitac.evaluator import playback
+from vitac.evaluator.playback import MakingBroke, PlaybackFailed, PlaybackOrder, making
 from worker_fakes import eventually
 
 ORDER = PlaybackOrder(track="track_1", record=make_record(), folder=Path("/nowhere"))
@@ -15,7 +14,7 @@ ORDER = PlaybackOrder(track="track_1", record=make_record(), folder=Path("/nowhe
 
 def answering(monkeypatch: pytest.MonkeyPatch, program: str) -> None:
     """Puts a program in the place of the process."""
-    monkeypatch.setattr(process, "COMMAND", (sys.executable, "-c", program))
+    monkeypatch.setattr(playback, "COMMAND", (sys.executable, "-c", program))
 
 
 def test_progress_comes_until_the_playback_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -46,7 +45,7 @@ def test_a_process_that_ends_early_is_no_refusal(monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_process_that_cannot_be_started_is_no_refusal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(process, "COMMAND", ("/nowhere/python",))
+    monkeypatch.setattr(playback, "COMMAND", ("/nowhere/python",))
     with pytest.raises(MakingBroke, match="could not be started"), making(ORDER):
         pytest.fail("it started")
 
@@ -75,12 +74,11 @@ def test_it_has_ended_when_the_block_is_left(monkeypatch: pytest.MonkeyPatch) ->
 STARTER = f"""
 import sys, threading
 from pathlib import Path
-from vitac.evaluator.playback import process
-from vitac.evaluator.playback.making import PlaybackOrder
+from vitac.evaluator import playback
 
-SLEEPS = "import time; from vitac.evaluator.playback import making; making.serve = lambda *_: time.sleep(600); "
-process.COMMAND = (sys.executable, "-c", SLEEPS + "print('{{}}', flush=True); making.main()")
-with process.making(PlaybackOrder.model_validate_json({ORDER.model_dump_json()!r})) as running:
+SLEEPS = "import time; from vitac.evaluator import playback; playback.serve = lambda *_: time.sleep(600); "
+playback.COMMAND = (sys.executable, "-c", SLEEPS + "print('{{}}', flush=True); playback.main()")
+with playback.making(playback.PlaybackOrder.model_validate_json({ORDER.model_dump_json()!r})) as running:
     running._process.stdout.readline()
     print(running._process.pid, flush=True)
     running._process.stdin.close()

@@ -19,7 +19,7 @@ from vitac.evaluator.remote.line import AddressInvalid
 from vitac.evaluator.remote.session import RemoteSession
 from vitac.evaluator.shards.order import ShardEnd
 from vitac.evaluator.shards.policy import run_shard
-from vitac.evaluator.tracks.cut import cut
+from vitac.evaluator.tracks.definition import cut
 from websockets.exceptions import ConnectionClosed
 from websockets.server import ServerProtocol
 from websockets.sync.client import connect

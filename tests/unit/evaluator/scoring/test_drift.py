@@ -1,8 +1,7 @@
 """The drift test on made-up teams: honest ones improve on all lists alike, who learns a list improves on it alone."""
 
 import numpy as np
-from vitac.evaluator.scoring.drift import ALARM_BELOW, drift_p_value
-from vitac.evaluator.scoring.score import Rate, wilson_interval
+from vitac.evaluator.scoring.score import ALARM_BELOW, Rate, drift_p_value, wilson_interval
 
 STARTS = 270
 

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord, FailureStage, PolicyFailure
-from vitac.evaluator.scoring.failures import FAILURES_THAT_END_A_SHARD, breaking_failure, is_broken
-from vitac.evaluator.tracks.cut import cut
+from vitac.evaluator.scoring.score import FAILURES_THAT_END_A_SHARD, breaking_failure, is_broken
+from vitac.evaluator.tracks.definition import cut
 
 SHARDS = cut(small_track().tasks["peg-insertion"])
 FIRST, SECOND = sorted(SHARDS[0].numbers), sorted(SHARDS[1].numbers)

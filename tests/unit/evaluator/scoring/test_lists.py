@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.stats import fisher_exact
 from service_factories import make_record
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
-from vitac.evaluator.scoring.lists import better_on_public_p_value
+from vitac.evaluator.scoring.score import better_on_public_p_value
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.tracks.definition import EpisodeBlock, EpisodeList, Start
 

@@ -10,8 +10,7 @@ from own_sensors import block, msh, with_nodes_inside, write_sensor
 from vitac.envs.sensor_design.surface import DrawnSurface
 from vitac.envs.sensor_design.tetrahedra import Tetrahedra
 from vitac.evaluator.sensors.check import CheckedSensor, check_sensor
-from vitac.evaluator.sensors.findings import Rule
-from vitac.evaluator.sensors.limits import sensor_limits
+from vitac.evaluator.sensors.findings import Rule, sensor_limits
 
 
 def broken(check: CheckedSensor) -> list[Rule]:

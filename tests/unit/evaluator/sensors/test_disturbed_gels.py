@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from vitac.envs.geometry.stl import read_corners
 from vitac.evaluator.sensors.check import check_sensor
-from vitac.evaluator.sensors.findings import Rule
-from vitac.evaluator.sensors.limits import sensor_limits
+from vitac.evaluator.sensors.findings import Rule, sensor_limits
 from vitac.evaluator.sensors.shape import ShapeCheck
 
 ROOT = Path(__file__).parents[4]

@@ -1,8 +1,7 @@
 """Findings and limits of a team's sensor: every rule has a name that stays, every limit leaves room."""
 
 import pytest
-from vitac.evaluator.sensors.findings import Finding, Rule
-from vitac.evaluator.sensors.limits import sensor_limits
+from vitac.evaluator.sensors.findings import Finding, Rule, sensor_limits
 
 
 @pytest.mark.parametrize("rule", Rule)

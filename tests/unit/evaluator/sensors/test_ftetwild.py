@@ -7,8 +7,8 @@ import drawn_gels
 import numpy as np
 import pytest
 from vitac.envs.geometry.stl import StlError
+from vitac.evaluator.sensors.findings import sensor_limits
 from vitac.evaluator.sensors.ftetwild import MesherFailed, MesherMissing, mesh_with_ftetwild
-from vitac.evaluator.sensors.limits import sensor_limits
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
 

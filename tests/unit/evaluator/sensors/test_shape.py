@@ -8,8 +8,7 @@ import drawn_gels
 import numpy as np
 import pytest
 from vitac.envs.sensor_design.surface import DrawnSurface
-from vitac.evaluator.sensors.findings import Rule
-from vitac.evaluator.sensors.limits import sensor_limits
+from vitac.evaluator.sensors.findings import Rule, sensor_limits
 from vitac.evaluator.sensors.shape import ShapeCheck
 
 LIMITS = sensor_limits()

@@ -23,7 +23,7 @@ from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.logs.log import LogHeader
 from vitac.evaluator.logs.verification import verify
-from vitac.evaluator.scoring.failures import breaking_failure
+from vitac.evaluator.scoring.score import breaking_failure
 from vitac.evaluator.shards.batch import MachineTooSmall, run_batches
 from vitac.evaluator.shards.execution import execute
 from vitac.evaluator.shards.order import OrderedShard, ShardEnd, ShardMessage, ShardOrder, ShardResult
@@ -31,7 +31,7 @@ from vitac.evaluator.shards.policy import Preparation
 from vitac.evaluator.strict_model import parse_yaml
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Track
-from vitac.evaluator.tracks.cut import cut
+from vitac.evaluator.tracks.definition import cut
 from vitac.evaluator.version import evaluator_hash
 
 FILE_ON_GPU = FILE.replace("obs_mode: state", "obs_mode: state, sim_backend: physx_cuda, batch_size: 4")

@@ -5,16 +5,16 @@ from typing import Any
 import drawn_gels
 import pytest
 from own_sensors import write_sensor
+from vitac.evaluator import estimator
 from vitac.evaluator.episodes.records import EpisodeRecord
-from vitac.evaluator.estimator import calibration
 from vitac.evaluator.figures import starts
 from vitac.evaluator.figures.figures import FigureChoice, StartFigures, Variation
 from vitac.evaluator.figures.starts import Measurement
-from vitac.evaluator.shards import estimator
+from vitac.evaluator.shards.estimator import run_estimator
 from vitac.evaluator.shards.order import OrderedShard, ShardEnd, ShardOrder, ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Episode, load_track
-from vitac.evaluator.tracks.cut import cut
+from vitac.evaluator.tracks.definition import cut
 
 TRACK = load_track("track_3")
 
@@ -27,8 +27,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Calibrate with few starts, and measure starts without playing them."""
-    calibrate = calibration.calibrate
-    monkeypatch.setattr(calibration, "calibrate", lambda *of, **given: calibrate(*of, starts=2, **given))
+    calibrate = estimator.calibrate
+    monkeypatch.setattr(estimator, "calibrate", lambda *of, **given: calibrate(*of, starts=2, **given))
     monkeypatch.setattr(Measurement, "start", lambda _, episode: measured(episode))
 
 
@@ -54,7 +54,7 @@ def run(
     )
     records: list[EpisodeRecord] = []
     ordered = OrderedShard(order=order, track=TRACK, task=TRACK.tasks[task], shard=shard)
-    return estimator.run_estimator(ordered, records.append), records
+    return run_estimator(ordered, records.append), records
 
 
 def test_blind_run_measures_at_the_starts_of_its_shard(folder: Path) -> None:
@@ -73,8 +73,8 @@ def test_coefficients_of_the_order_are_played_with_and_nothing_is_calibrated(
 ) -> None:
     learned, played = run(folder, "sensor-standard", FigureChoice.NONE, [1])
     assert learned.coefficients is not None
-    monkeypatch.setattr(calibration, "_calibrated", {})
-    monkeypatch.setattr(calibration, "calibrate", None)
+    monkeypatch.setattr(estimator, "_calibrated", {})
+    monkeypatch.setattr(estimator, "calibrate", None)
     again, records = run(folder, "sensor-standard", FigureChoice.NONE, [1], coefficients=learned.coefficients)
     assert again.coefficients == learned.coefficients
     assert [record.state_hashes for record in records] == [record.state_hashes for record in played]

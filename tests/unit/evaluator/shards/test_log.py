@@ -6,14 +6,13 @@ from pathlib import Path
 import pytest
 from evaluation_fakes import FakeEnvironment, FakeSession, action, small_track, succeed
 from vitac.evaluator.episodes.episode import run_episode
-from vitac.evaluator.episodes.provenance import make_manifest
-from vitac.evaluator.episodes.records import EpisodeRecord
+from vitac.evaluator.episodes.records import EpisodeRecord, make_manifest
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.logs.log import LogHeader, write_log
 from vitac.evaluator.shards.execution import resimulate_log
 from vitac.evaluator.shards.order import OrderedShard, ShardEnd, ShardOrder, ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind
-from vitac.evaluator.tracks.cut import cut
+from vitac.evaluator.tracks.definition import cut
 
 TRACK = small_track(shard_size=6)
 TASK = TRACK.tasks["peg-insertion"]

@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from vitac.evaluator.agent.verdicts import SandboxFailed, VerdictCode
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord, FailureStage, result_hash
-from vitac.evaluator.scoring.failures import breaking_failure, is_broken
+from vitac.evaluator.scoring.score import breaking_failure, is_broken
 from vitac.evaluator.shards.order import ShardEnd, ShardResult
 from vitac.evaluator.shards.policy import run_shard
 from vitac.evaluator.tracks import load_track
-from vitac.evaluator.tracks.cut import cut
+from vitac.evaluator.tracks.definition import cut
 
 TRACK = small_track()
 TASK = TRACK.tasks["peg-insertion"]

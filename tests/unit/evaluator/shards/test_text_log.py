@@ -16,7 +16,7 @@ from vitac.evaluator.shards.execution import resimulate_text_log
 from vitac.evaluator.shards.order import OrderedShard, ShardEnd, ShardOrder, ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Task, Track, load_track
-from vitac.evaluator.tracks.cut import cut
+from vitac.evaluator.tracks.definition import cut
 
 TRACK = load_track("track_1")
 SCRIPTS = {script.name: script for script in all_scripts()}

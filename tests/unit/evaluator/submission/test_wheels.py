@@ -280,7 +280,7 @@ def test_a_registry_that_does_not_answer_or_sends_too_much_is_named(registry: Pa
 
 
 def test_the_wheels_used_longest_ago_make_room(registry: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vitac.evaluator.submission.registries._KEPT_BYTES", 0)
+    monkeypatch.setattr("vitac.evaluator.submission.wheels._KEPT_BYTES", 0)
     staged(tmp_path / "one", {"requirements.txt": publish(registry, wheel_bytes())})
     staged(tmp_path / "two", {"requirements.txt": publish(registry, wheel_bytes(files={"feelings/more.py": b""}))})
     assert len(list((tmp_path / "cache").rglob("*.whl"))) == 1

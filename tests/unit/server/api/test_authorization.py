@@ -40,7 +40,7 @@ from vitac.server.database.models import (
     Worker,
 )
 from vitac.server.database.states import FileRole, NoticeChannel, NoticeKind, Role, WorkerState
-from vitac.server.decisions.rejudging_comparison import compute_revision
+from vitac.server.decisions.rejudging import compute_revision
 from vitac.server.evaluations.episode_store import EpisodeKey
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.leaderboards.baselines import publish_human_baseline

@@ -17,7 +17,7 @@ from vitac.evaluator.logs.text_2025 import Script
 from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import load_track
-from vitac.evaluator.tracks.cut import cut
+from vitac.evaluator.tracks.definition import cut
 from vitac.evaluator.version import platform_class
 from vitac.server import tracks
 from vitac.server.database.engine import Database

@@ -20,9 +20,9 @@ from service_factories import claim, make_record, play_all, shard_ids, store, ta
 from sqlalchemy import delete, select, text, update
 from vitac.errors import VitacError
 from vitac.evaluator.agent.verdicts import SandboxFailed
-from vitac.evaluator.estimator.regression import Coefficients
+from vitac.evaluator.estimator import Coefficients
 from vitac.evaluator.figures.figures import FigureChoice, FiguresPart, SensorFigures, Variation
-from vitac.evaluator.playback.making import SCENE_FILE, PlaybackOrder
+from vitac.evaluator.playback import SCENE_FILE, PlaybackOrder
 from vitac.evaluator.sensors.made import MadeSensor, read_design, read_made_sensor
 from vitac.evaluator.sensors.manifest import SensorRejected
 from vitac.evaluator.shards.order import ShardOrder
@@ -38,9 +38,8 @@ from vitac.server.playbacks import asking
 from vitac.server.playbacks import work as playbacks
 from vitac.server.principals import CONSOLE
 from vitac.server.queue import leases, work
-from vitac.server.queue.kinds import KINDS
 from vitac.server.queue.leases import Lease
-from vitac.server.queue.work import name_requirement
+from vitac.server.queue.work import KINDS, name_requirement
 from vitac.server.submissions.files import add_files, stored_digests
 from vitac.server.submissions.intake import UploadedFile
 from vitac.server.submissions.sensors import coefficients_digest, has_part

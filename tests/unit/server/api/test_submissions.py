@@ -13,7 +13,7 @@ from sqlalchemy import text, update
 from structlog.testing import capture_logs
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.tracks import load_track
-from vitac.evaluator.tracks.cut import cut
+from vitac.evaluator.tracks.definition import cut
 from vitac.server.database.engine import Database
 from vitac.server.database.models import Evaluation, Submission
 from vitac.server.submissions import listing

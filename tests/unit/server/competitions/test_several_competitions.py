@@ -27,8 +27,8 @@ from vitac.server.principals import CONSOLE, Principal
 from vitac.server.receipts.issuing import receipts_of_board
 from vitac.server.settings import Settings
 from vitac.server.submissions import appeals, creation, listing
-from vitac.server.submissions.disqualification import disqualify, reinstate
 from vitac.server.submissions.runs import run_again
+from vitac.server.submissions.withdrawal import disqualify, reinstate
 from vitac.server.visibility import decide_sight, visible
 
 from competitions import FIRST, PUBLIC_RANKING, SECOND, make_competition, moved, open_now, put_in_place

@@ -16,8 +16,7 @@ from vitac.server.database.cluster import DATABASE
 from vitac.server.database.engine import Database
 from vitac.server.database.models import AuditEntry, ReceiptRow
 from vitac.server.database.schema import NotTheOwner, upgrade
-from vitac.server.operations.backup import back_up
-from vitac.server.operations.restore import restore
+from vitac.server.operations.backup import back_up, restore
 from vitac.server.services import Services, open_services
 from vitac.server.settings import Settings
 from vitac.server.storage.blobs import BlobStore

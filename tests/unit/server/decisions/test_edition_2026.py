@@ -16,7 +16,7 @@ from vitac.server.competitions.definition import CompetitionDefinition, read_com
 from vitac.server.competitions.view import competition_view
 from vitac.server.database.engine import Database
 from vitac.server.decisions import advancement, briefs, entered_results, finishing
-from vitac.server.decisions.pdf_pages import count_pages
+from vitac.server.decisions.briefs import count_pages
 from vitac.server.decisions.publishing import result_files
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.operations import team_data

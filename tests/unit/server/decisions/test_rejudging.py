@@ -31,7 +31,7 @@ from vitac.server.database.engine import Database
 from vitac.server.database.models import BoardResult, CompetitionRow, Evaluation, Submission, Team
 from vitac.server.database.states import EvaluationState, Role
 from vitac.server.decisions import rejudging
-from vitac.server.decisions.rejudging_comparison import comparison
+from vitac.server.decisions.rejudging import comparison
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations import lifecycle
 from vitac.server.evaluations.history import newest_evaluation

@@ -16,11 +16,11 @@ from sqlalchemy import text
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeRecord
 from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.tracks import Task
-from vitac.evaluator.tracks.cut import ShardEpisodes
+from vitac.evaluator.tracks.definition import ShardEpisodes
 from vitac.server.accounts.shown_names import ShownNames
 from vitac.server.database.engine import Database
 from vitac.server.database.models import Submission
-from vitac.server.evaluations import lifecycle, listing
+from vitac.server.evaluations import lifecycle, view
 from vitac.server.evaluations.copies import find_copies, flag_copies
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.logs import LogClaim
@@ -113,7 +113,7 @@ def test_a_log_with_the_states_of_another_teams_submission_is_not_ranked(
     assert found(database, first, stolen) == [None, CopyView(team="Team A", episodes=270, ranked=False)]
     assert ranks(database) == ({"Team A": 1} if theirs is SubmissionKind.LOG else {}) | {"Team B": None}
     with database.transaction() as session:
-        copied = {row.team: row.copied_episodes for row in listing.list_evaluations(session, limit=10)}
+        copied = {row.team: row.copied_episodes for row in view.list_evaluations(session, limit=10)}
     assert copied == {"Team A": 0, "Team B": 270}
 
 

@@ -14,7 +14,7 @@ from service_factories import (
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.server.database.engine import Database
 from vitac.server.database.models import Submission
-from vitac.server.evaluations.listing import list_evaluations
+from vitac.server.evaluations.view import list_evaluations
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions.listing import get, list_submissions
 from vitac.server.views.evaluations import DifferingEpisodeView

@@ -33,8 +33,8 @@ from vitac.server.database.states import EvaluationState, WorkState
 from vitac.server.evaluations.episode_store import EpisodeKey, read_stored_records, store_episodes
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.lifecycle import EpisodesMissing
-from vitac.server.evaluations.listing import show_evaluation
 from vitac.server.evaluations.scores import combine_hashes, combined_score, read_scores
+from vitac.server.evaluations.view import show_evaluation
 from vitac.server.queue.leases import Lease
 from vitac.server.queue.work import LeaseLost, count_open, lock_held, name_requirement
 from vitac.server.submissions import listing, runs

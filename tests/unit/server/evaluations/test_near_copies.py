@@ -27,7 +27,7 @@ from vitac.server.leaderboards.log_boards import log_boards
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.operations.desk import troubles
 from vitac.server.principals import CONSOLE, VISITOR, Principal
-from vitac.server.submissions import creation, disqualification, listing, runs
+from vitac.server.submissions import creation, listing, runs, withdrawal
 
 from competitions import shown_stage
 
@@ -137,11 +137,11 @@ def test_a_model_that_acts_nearly_as_an_earlier_one_is_not_ranked_until_an_organ
         assert "is not ranked until an organizer has cleared it" in copy.sentence
         for by in (teams[1], VISITOR):
             with pytest.raises(ServiceError):
-                disqualification.clear(session, by, table.id, "made apart")
+                withdrawal.clear_copy(session, by, table.id, "made apart")
     with database.transaction() as session:
-        disqualification.clear(session, CONSOLE, table.id, "made apart")
+        withdrawal.clear_copy(session, CONSOLE, table.id, "made apart")
         with refused(ProblemCode.INVALID_REQUEST):
-            disqualification.clear(session, CONSOLE, table.id, "again")
+            withdrawal.clear_copy(session, CONSOLE, table.id, "again")
         assert newest_entries(session)[0].action == "submission.clear"
         assert not troubles(session, CONSOLE)
     assert sorted(on_board(database)) == [(1, "source"), (2, "table")]
@@ -154,7 +154,7 @@ def test_a_model_that_acts_nearly_as_an_earlier_one_is_not_ranked_until_an_organ
     assert sorted(on_board(database)) == [(1, "source"), (2, "table")]
     with database.transaction() as session:
         for _ in range(2):
-            disqualification.withdraw(session, CONSOLE, table.id)
+            withdrawal.withdraw_clearance(session, CONSOLE, table.id)
         assert [entry.action for entry in newest_entries(session, 2)].count("submission.withdraw-clearance") == 1
     assert on_board(database) == [(1, "source"), (None, "table")]
 
@@ -168,7 +168,7 @@ def test_a_cleared_copy_stays_ranked_beside_one_that_is_not_cleared(
     for number, submission in enumerate(copies):
         play_all(database, submission, acting(1, change=1e-5 * number))
     with database.transaction() as session:
-        disqualification.clear(session, CONSOLE, copies[1].id, "made apart")
+        withdrawal.clear_copy(session, CONSOLE, copies[1].id, "made apart")
     with database.transaction() as session:
         found = [listing.get(session, SETTINGS, CONSOLE, one.id).copy_of for one in copies[1:]]
         assert [copy and copy.ranked for copy in found] == [True, False]

@@ -11,7 +11,7 @@ from vitac.cli.client.remote import GateRefused, connected
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.agent.verdicts import EpisodeCut, PolicyFailed, VerdictCode
 from vitac.evaluator.remote.description import RemoteProtocol, RemoteServer
-from vitac.evaluator.remote.relay import inner_address
+from vitac.evaluator.remote.line import inner_address
 from vitac.evaluator.remote.session import RemoteSession
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect

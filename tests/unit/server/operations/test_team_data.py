@@ -29,7 +29,7 @@ from vitac.server.operations import team_data
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import runs
 from vitac.server.submissions.files import stored_digests
-from vitac.server.submissions.view import submission_views
+from vitac.server.submissions.listing import submission_views
 from vitac.server.submissions.withdrawal import REMOVED
 
 from competitions import make_competition, put_in_place, stored_stage, teams_on_board

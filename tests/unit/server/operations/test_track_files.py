@@ -6,8 +6,13 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 from vitac.evaluator.strict_model import DocumentRejected
-from vitac.server.operations.archive import BackupDescription, BackupRejected
-from vitac.server.operations.backup import missing_track_files, own_track_files, put_back
+from vitac.server.operations.backup import (
+    BackupDescription,
+    BackupRejected,
+    missing_track_files,
+    own_track_files,
+    put_back,
+)
 
 DESCRIBED: dict[str, Any] = {
     "made_at": "2031-01-01T00:00:00Z",

@@ -27,8 +27,7 @@ from vitac.server.database.states import WorkKind, WorkState
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.queue import work
-from vitac.server.queue.kinds import KINDS
-from vitac.server.queue.work import Claim, name_requirement
+from vitac.server.queue.work import KINDS, Claim, name_requirement
 
 MANY, SMALL_TEAMS = 10, 6
 HERE = name_requirement(evaluator_version())

@@ -25,8 +25,7 @@ from vitac.server.database.states import EvaluationState, WorkKind, WorkState
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.lifecycle import give_up
 from vitac.server.queue import work
-from vitac.server.queue.kinds import KINDS
-from vitac.server.queue.work import IDLE_LIMIT, LeaseLost, Sweep, lock_held, sweep
+from vitac.server.queue.work import IDLE_LIMIT, KINDS, LeaseLost, Sweep, lock_held, sweep
 from vitac.server.settings import Settings
 
 SETTINGS = make_settings(lease_s=0.003, lease_renewal_s=0.001)

@@ -11,7 +11,7 @@ from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.leaderboards.public_pages import public_among
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.principals import CONSOLE, VISITOR, Principal
-from vitac.server.submissions import disqualification, listing, runs
+from vitac.server.submissions import listing, runs, withdrawal
 
 from competitions import shown_stage
 
@@ -34,7 +34,7 @@ def test_a_disqualified_submission_leaves_the_board_to_the_next_best_of_its_team
     assert on_board(database) == [("Ants", "best"), ("Bees", "bees")]
     with database.transaction() as session:
         assert public_among(session, [best.id])
-        disqualification.disqualify(session, CONSOLE, best.id, WHY)
+        withdrawal.disqualify(session, CONSOLE, best.id, WHY)
     assert on_board(database) == [("Bees", "bees"), ("Ants", "second")]
     with database.transaction() as session:
         view = listing.get(session, SETTINGS, ants, best.id)
@@ -49,7 +49,7 @@ def test_a_disqualified_submission_leaves_the_board_to_the_next_best_of_its_team
         submit(session, ants, "another")
     with database.transaction() as session:
         for _ in range(2):
-            disqualification.reinstate(session, CONSOLE, best.id)
+            withdrawal.reinstate(session, CONSOLE, best.id)
         assert [entry.action for entry in newest_entries(session, 2)].count("submission.reinstate") == 1
     assert on_board(database) == [("Ants", "best"), ("Bees", "bees")]
 
@@ -58,7 +58,7 @@ def test_results_that_it_gets_later_are_on_no_board_either(database: Database) -
     with database.transaction() as session:
         team = make_principal(session, "Ants")
         submission = submit_scored(session, team, "best", {TASK: make_score(90)})
-        disqualification.disqualify(session, CONSOLE, submission.id, WHY)
+        withdrawal.disqualify(session, CONSOLE, submission.id, WHY)
     with database.transaction() as session:
         runs.run_again(session, CONSOLE, submission.id)
         complete_scored(session, submission, {TASK: make_score(95)})
@@ -69,7 +69,7 @@ def test_the_same_content_is_not_evaluated_again_for_its_team(database: Database
     with database.transaction() as session:
         team = make_principal(session, "Ants")
         submission = submit(session, team)
-        disqualification.disqualify(session, CONSOLE, submission.id, WHY)
+        withdrawal.disqualify(session, CONSOLE, submission.id, WHY)
         for again in (False, True):
             with pytest.raises(ServiceError, match=WHY) as caught:
                 submit(session, team, again=again)
@@ -82,15 +82,15 @@ def test_only_organizers_disqualify_and_only_once(database: Database) -> None:
         submission = submit(session, team)
         for by in (team, Principal(role=Role.JUDGE), VISITOR):
             with pytest.raises(ServiceError):
-                disqualification.disqualify(session, by, submission.id, WHY)
+                withdrawal.disqualify(session, by, submission.id, WHY)
             with pytest.raises(ServiceError):
-                disqualification.reinstate(session, by, submission.id)
+                withdrawal.reinstate(session, by, submission.id)
         for reason in ("", "x" * 201):
             with refused(ProblemCode.INVALID_REQUEST):
-                disqualification.disqualify(session, CONSOLE, submission.id, reason)
-        disqualification.disqualify(session, CONSOLE, submission.id, WHY)
+                withdrawal.disqualify(session, CONSOLE, submission.id, reason)
+        withdrawal.disqualify(session, CONSOLE, submission.id, WHY)
         with refused(ProblemCode.SUBMISSION_DISQUALIFIED):
-            disqualification.disqualify(session, CONSOLE, submission.id, WHY)
+            withdrawal.disqualify(session, CONSOLE, submission.id, WHY)
 
 
 def test_a_log_leaves_its_board_too(database: Database) -> None:
@@ -100,6 +100,6 @@ def test_a_log_leaves_its_board_too(database: Database) -> None:
         log = submit_scored(session, team, "log", {TASK: make_score(90)}, kind=SubmissionKind.LOG, manifest=claim)
         stage = shown_stage(session, TRACK)
         assert leaderboard(session, stage, task=TASK, kind=SubmissionKind.LOG).view.entries
-        disqualification.disqualify(session, CONSOLE, log.id, WHY)
+        withdrawal.disqualify(session, CONSOLE, log.id, WHY)
         session.flush()
         assert not leaderboard(session, stage, task=TASK, kind=SubmissionKind.LOG).view.entries

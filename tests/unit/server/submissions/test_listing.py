@@ -1,4 +1,5 @@
 from datetime import UTC, datetime
+from types import SimpleNamespace
 from uuid import uuid4
 
 import pytest
@@ -12,21 +13,23 @@ from service_factories import (
     make_principal,
     make_record,
     make_score,
+    play,
     store,
     submit_refuted_log,
     submit_scored,
 )
 from sqlalchemy import text
-from submission_steps import SETTINGS, create, ids_of, make_worker, refused, view_of
+from submission_steps import SETTINGS, break_policy, create, ids_of, make_worker, refused, view_of
 from vitac.envs.tasks.definition import Family
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.evaluator.logs.findings import VerificationResult
 from vitac.evaluator.tracks import ListKind, load_track
 from vitac.server import visibility
 from vitac.server.database.engine import Database
-from vitac.server.database.models import Submission, Team
-from vitac.server.database.states import EvaluationState
+from vitac.server.database.models import EpisodeDifference, Submission, Team
+from vitac.server.database.states import EvaluationState, WorkerState
 from vitac.server.errors import ProblemCode
+from vitac.server.evaluations import view as evaluation_view
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import listing, runs
@@ -144,7 +147,7 @@ def test_who_can_run_the_same_is_found_once_for_a_whole_list(
         asked.append(task)
         return find_family(track, task)
 
-    monkeypatch.setattr("vitac.server.submissions.view.find_family", noted)
+    monkeypatch.setattr("vitac.server.submissions.listing.find_family", noted)
     with database.transaction() as session:
         items = listing.list_submissions(session, SETTINGS, principal).items
     assert [item.workers.alive for item in items] == [1] * 5 + [0]
@@ -188,3 +191,96 @@ def test_what_was_drawn_for_an_episode_is_listed_with_it(
     with database.transaction() as session:
         listed = listing.episodes(session, principal, submission.id)
     assert [view.draws for view in listed] == [{"clearance_mm": 0.75}, {}]
+
+
+def test_new_submission_is_queued_with_its_position(database: Database, principal: Principal) -> None:
+    first, is_new = create(database, principal, "one")
+    second, _ = create(database, principal, "two")
+    assert is_new
+    view = view_of(database, principal, second)
+    assert view.evaluation.state is EvaluationState.QUEUED
+    assert view.evaluation.queue_position == 2
+    assert view.evaluation.eta_s is None
+    assert view.evaluation.progress.episodes_total == 270
+    assert view.workers.alive == 0
+    play(database, ids_of(database, first)[0])
+    assert view_of(database, principal, first).evaluation.queue_position is None
+    assert view_of(database, principal, second).evaluation.queue_position == 1
+
+
+def test_failed_evaluation_shows_verdict_sentence_and_output(database: Database, principal: Principal) -> None:
+    submission, _ = create(database, principal)
+    break_policy(database, submission)
+    evaluation = view_of(database, principal, submission).evaluation
+    assert evaluation.verdict is not None
+    assert (evaluation.verdict.code, evaluation.verdict.task, evaluation.verdict.episode) == ("crashed", TASK, 1)
+    assert evaluation.verdict.title.endswith("say where.")
+    assert evaluation.verdict.message == "failed in 1"
+    assert evaluation.log_tail == "out 1"
+
+
+def test_eta_counts_own_and_earlier_episodes_over_the_slots_of_living_workers(
+    database: Database, principal: Principal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, _ = create(database, principal, "one")
+    second, _ = create(database, principal, "two")
+    play(database, ids_of(database, first)[0])
+    assert view_of(database, principal, first).evaluation.eta_s is None
+    make_worker(database, slots=2)
+    assert view_of(database, principal, first).evaluation.eta_s == pytest.approx(243 * 0.5 / 2)
+    assert view_of(database, principal, second).evaluation.eta_s == pytest.approx((243 + 270) * 0.5 / 2)
+    in_batches = SimpleNamespace(definition=SimpleNamespace(batch_size=16))
+    for task, at_once in ((in_batches, 16), (None, 1)):
+        monkeypatch.setattr(evaluation_view, "known_task", lambda *_, task=task: task)
+        assert view_of(database, principal, first).evaluation.eta_s == pytest.approx(243 * 0.5 / at_once / 2)
+
+
+def test_workers_that_are_lost_refusing_or_of_another_version_do_not_count_as_alive(
+    database: Database, principal: Principal
+) -> None:
+    make_worker(database, state=WorkerState.REFUSING)
+    make_worker(database, state=WorkerState.STOPPED)
+    make_worker(database, evaluator_version="other")
+    make_worker(database)
+    with database.transaction() as session:
+        session.execute(
+            text("UPDATE workers SET heartbeat_at = now() - interval '1 hour' WHERE evaluator_version <> 'other'")
+        )
+    submission, _ = create(database, principal)
+    view = view_of(database, principal, submission)
+    assert view.workers.alive == 0
+    assert view.workers.last_heartbeat_at is not None
+
+
+def test_a_completed_evaluation_is_read_once_and_shown_to_each_as_far_as_they_may_see_it(
+    database: Database, principal: Principal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with database.transaction() as session:
+        shown = submit_scored(session, principal, "model", {TASK: make_score(50)})
+        evaluation = newest_evaluation(session, shown)
+        report = {"task": TASK, "episode": 1, "stored_digest": "a" * 64, "differing_digest": "b" * 64}
+        session.add(EpisodeDifference(evaluation_id=evaluation.id, **report))
+        evaluation.log_tail = "printed"
+    statements: list[int] = []
+    for by, sealed, expected in (
+        (principal, False, (False, None)),
+        (principal, False, (False, None)),
+        (CONSOLE, False, (False, 1)),
+        (principal, True, (True, None)),
+        (CONSOLE, True, (False, 1)),
+        (principal, False, (False, None)),
+    ):
+        monkeypatch.setattr(visibility, "known_task", (lambda *_: None) if sealed else known_task)
+        with database.transaction() as session:
+            kind = ListKind.SEALED if sealed else ListKind.PUBLIC
+            newest_evaluation(session, session.get_one(Submission, shown.id)).list_kind = kind
+            session.flush()
+            with database_work(session) as work:
+                (item,) = listing.list_submissions(session, SETTINGS, by).items
+            alone = listing.get(session, SETTINGS, by, shown.id)
+        found, statements = item.evaluation, [*statements, work.statements]
+        differing = None if found.differing_episodes is None else len(found.differing_episodes)
+        assert (found.episodes_hidden, differing) == expected
+        assert (found.list_kind, found.log_tail) == (kind, "")
+        assert alone.evaluation.log_tail == ("" if found.episodes_hidden else "printed")
+    assert statements[1] == statements[-1] < statements[0]

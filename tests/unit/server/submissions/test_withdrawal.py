@@ -18,7 +18,7 @@ from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.leaderboards.public_pages import public_among
 from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.principals import CONSOLE, Principal
-from vitac.server.submissions import creation, disqualification, listing, withdrawal
+from vitac.server.submissions import creation, listing, withdrawal
 from vitac.server.submissions.files import stored_digests
 
 from competitions import make_competition, open_now, put_in_place, shown_stage
@@ -54,7 +54,7 @@ def test_a_withdrawn_submission_leaves_the_board_to_the_next_of_its_team_until_i
         withdrawal.restore(session, ants, best.id)
         assert on_board(session) == ["best"]
         withdrawal.withdraw(session, ants, best.id)
-        disqualification.disqualify(session, CONSOLE, best.id, "copied")
+        withdrawal.disqualify(session, CONSOLE, best.id, "copied")
         withdrawal.restore(session, ants, best.id)
         assert on_board(session) == ["second"], "an organizer's decision stays"
 

@@ -8,6 +8,7 @@ from vitac.evaluator.tracks import find_task
 from vitac.training.demonstrations.collecting import (
     CollectionRejected,
     DemonstrationKind,
+    PolicyStopped,
     collect,
     count_outcomes,
     list_tasks,
@@ -15,7 +16,6 @@ from vitac.training.demonstrations.collecting import (
     read_source,
 )
 from vitac.training.demonstrations.expert import Expert, NoExpert
-from vitac.training.demonstrations.policy_play import PolicyStopped
 from vitac.training.streams import StreamRefused, Use, stream
 
 TASK = "lock-opening"

@@ -16,7 +16,7 @@ def test_only_the_names_asked_for_are_described() -> None:
 
 
 def test_arguments_and_fields_are_lists_with_their_meaning() -> None:
-    text = modules(["vitac.envs.tasks.insertion.scene: InsertionSettings", "vitac.envs.tasks.peg_insertion.scene"])
+    text = modules(["vitac.envs.tasks.insertion.env: InsertionSettings", "vitac.envs.tasks.peg_insertion.env"])
     assert "class InsertionSettings:\n    max_steps: int\n" in text
     assert "class PegInsertionSettings(InsertionSettings):\n    max_steps: int = 8\n" in text
     assert "\nAttributes:\n\n- `max_steps`: env steps after which an episode is cut off.\n- " in text

@@ -20,9 +20,7 @@ from vitac.server.database.models import BoardResult, Evaluation
 from vitac.server.decisions.finishing import finalize
 from vitac.server.principals import CONSOLE
 from vitac.server.tracks import sort_challenge_first
-from vitac.web.pages.leaderboards.leaderboard import PLOTTED
-from vitac.web.pages.leaderboards.paging import PAGE_ENTRIES
-from vitac.web.pages.leaderboards.tabs import accepts_logs, track_tabs
+from vitac.web.pages.leaderboards import PAGE_ENTRIES, PLOTTED, accepts_logs, track_tabs
 from vitac.web.pages.tracks import PICTURES
 from vitac.web.rendering import STATIC
 

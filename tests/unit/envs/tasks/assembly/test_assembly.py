@@ -10,8 +10,7 @@ from unpacked_files import unpack
 from vitac.envs.drawing.playback import record
 from vitac.envs.playback_files.scene import pack_scene
 from vitac.envs.tasks.assembly.definition import STAGES
-from vitac.envs.tasks.assembly.env import AssemblyEnv, fetch_insert_and_turn
-from vitac.envs.tasks.assembly.scene import AssemblyScene
+from vitac.envs.tasks.assembly.env import AssemblyEnv, AssemblyScene, fetch_insert_and_turn
 from vitac.envs.tasks.settings import ResetOptionsError, SettingsError
 
 START = {"shape": "narrow", "offset_mm_deg": (0.0, 0.0, 0.0), "rng_seed": (0, 1)}

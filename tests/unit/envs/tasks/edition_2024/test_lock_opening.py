@@ -8,7 +8,7 @@ from fake_scene import FakeScene
 from vitac.envs.geometry.keys_and_locks import KeyShape, key_control_points, lock_control_points
 from vitac.envs.tasks.definition import Flags
 from vitac.envs.tasks.edition_2024.definition import SUCCESS_Z_RANGE_M
-from vitac.envs.tasks.edition_2024.lock_opening import LockOpening2024Env, alignment_error, reward
+from vitac.envs.tasks.edition_2024.env import LockOpening2024Env, alignment_error, reward
 from vitac.envs.tasks.lock_opening.definition import LockState, judge_flags
 from vitac.envs.tasks.settings import ResetOptionsError
 

@@ -7,9 +7,9 @@ import pytest
 from fake_scene import FakeScene
 from vitac.envs.geometry.pegs_2024 import PegShape2024
 from vitac.envs.tasks.definition import Flags
-from vitac.envs.tasks.edition_2024.peg_insertion import PegInsertion2024Env, accepts_start, is_blocked, judge_flags
+from vitac.envs.tasks.edition_2024.env import PegInsertion2024Env, accepts_start, is_blocked, judge_peg_flags
+from vitac.envs.tasks.insertion.env import InsertionState
 from vitac.envs.tasks.insertion.interface import PegOffset
-from vitac.envs.tasks.insertion.scene import InsertionState
 from vitac.envs.tasks.settings import ResetOptionsError, SettingsError
 
 START = {"shape": "concave2", "offset_mm_deg": (0.0, 0.0, 0.0), "rng_seed": (0, 1)}
@@ -38,7 +38,7 @@ def flags(
         surface_diff_m=np.array(diff_m),
         peg_relative_z_mm=np.array([-0.5, z_mm]),
     )
-    return judge_flags(state, max_steps=8, z_step_mm=0.125)
+    return judge_peg_flags(state, max_steps=8, z_step_mm=0.125)
 
 
 @pytest.mark.parametrize(

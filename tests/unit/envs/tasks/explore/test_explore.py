@@ -8,8 +8,7 @@ import pytest
 import trimesh
 from fake_scene import FakeScene
 from vitac.envs.tasks.explore.definition import BRIER, EndShape
-from vitac.envs.tasks.explore.env import AROUND_MM, ExploreEnv, touch_around
-from vitac.envs.tasks.explore.scene import EndPose, block_mesh
+from vitac.envs.tasks.explore.env import AROUND_MM, EndPose, ExploreEnv, block_mesh, touch_around
 from vitac.envs.tasks.settings import ResetOptionsError
 from vitac.evaluator.tracks import load_track
 

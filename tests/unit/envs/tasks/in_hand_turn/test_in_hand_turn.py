@@ -7,8 +7,7 @@ import pytest
 from fake_scene import FakeScene
 from vitac.envs.fem.scene.report import StepStatus
 from vitac.envs.tactile.gel import GelDimensions
-from vitac.envs.tasks.in_hand_turn.env import DRAWN, InHandTurnEnv, press_until_it_stays
-from vitac.envs.tasks.in_hand_turn.scene import RodShape, edge_mesh, rod_mesh
+from vitac.envs.tasks.in_hand_turn.env import DRAWN, InHandTurnEnv, RodShape, edge_mesh, press_until_it_stays, rod_mesh
 from vitac.envs.tasks.settings import ResetOptionsError, SettingsError
 
 START = (3.0, -6.0, 20.0)
@@ -105,7 +104,7 @@ def test_gripper_may_rise_or_sink_by_eight_millimetres(up: float) -> None:
 def test_rod_that_was_not_freed_counts_as_it_was_at_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
     env, *_ = played(PRESS, PRESS, max_steps=3)
     # Nothing moves after an IPC step that did not converge: the rod stays pressed, however near to its goal it is.
-    monkeypatch.setattr("vitac.envs.tasks.in_hand_turn.scene.InHandTurnScene.angle_deg", lambda _: 20.0)
+    monkeypatch.setattr("vitac.envs.tasks.in_hand_turn.env.InHandTurnScene.angle_deg", lambda _: 20.0)
     env.scene._scene._pending = [StepStatus.NOT_CONVERGED]
     *_, info = env.step(np.array(PRESS, dtype=np.float32))
     assert info["end_reason"] == "not_converged"

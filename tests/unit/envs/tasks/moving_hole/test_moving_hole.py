@@ -10,8 +10,7 @@ from fake_scene import FakeScene
 from unpacked_files import unpack
 from vitac.envs.drawing.playback import record
 from vitac.envs.playback_files.scene import pack_scene
-from vitac.envs.tasks.moving_hole.env import MovingHoleEnv, to_where_the_hole_will_be
-from vitac.envs.tasks.moving_hole.scene import PlateMotion, PlatePath
+from vitac.envs.tasks.moving_hole.env import MovingHoleEnv, PlateMotion, PlatePath, to_where_the_hole_will_be
 from vitac.envs.tasks.settings import ResetOptionsError
 
 START = {"shape": "cuboid", "offset_mm_deg": (3.0, -2.0, 5.0), "rng_seed": (0, 1)}

@@ -11,8 +11,7 @@ from unpacked_files import unpack
 from vitac.envs.drawing.playback import record
 from vitac.envs.playback_files.scene import pack_scene
 from vitac.envs.tasks.settings import ResetOptionsError, SettingsError
-from vitac.envs.tasks.slip.env import SlipEnv, lift_ever_harder
-from vitac.envs.tasks.slip.scene import GrowingLoad, SlipScene
+from vitac.envs.tasks.slip.env import GrowingLoad, SlipEnv, SlipScene, lift_ever_harder
 
 START = {"shape": "bar", "offset_mm": (1.0, -2.0), "rng_seed": (0, 1)}
 

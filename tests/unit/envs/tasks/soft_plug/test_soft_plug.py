@@ -11,16 +11,18 @@ from vitac.envs.drawing.playback import record
 from vitac.envs.playback_files.scene import pack_scene
 from vitac.envs.tactile.gel import arena_gel_mesh
 from vitac.envs.tasks.settings import ResetOptionsError, SettingsError
-from vitac.envs.tasks.soft_plug.env import CableEndEnv, SoftPlugEnv, touch_then_push
-from vitac.envs.tasks.soft_plug.scene import (
+from vitac.envs.tasks.soft_plug.env import (
     FORMS,
     START_GAP_MM,
+    CableEndEnv,
     CableShape,
     PlugShape,
+    SoftPlugEnv,
     SoftPlugScene,
     plate_mesh,
     plug_mesh,
     stiffening,
+    touch_then_push,
 )
 
 START = {"shape": "slim", "offset_mm": (2.0, -1.0), "rng_seed": (0, 1)}

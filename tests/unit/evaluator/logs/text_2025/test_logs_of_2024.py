@@ -5,8 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from vitac.evaluator.episodes.episode import make_environment
-from vitac.evaluator.episodes.replay import resimulate
+from vitac.evaluator.episodes.episode import make_environment, resimulate
 from vitac.evaluator.logs.resimulation import read_recordings
 from vitac.evaluator.logs.text_2025 import TextLog, find_script, read_text_log, summarize
 from vitac.evaluator.logs.text_2025.recordings import (

@@ -13,10 +13,8 @@ from vitac.evaluator.episodes.records import (
 )
 from vitac.server.database.clock import read_clock
 from vitac.server.database.models import LivePicture, Station, Submission, Trial
-from vitac.server.decisions import trial_plan
-from vitac.server.decisions.live_trials import store_picture
-from vitac.server.decisions.trial_plan import planned_trials
-from vitac.server.decisions.trial_results import summarize
+from vitac.server.decisions import station_trials
+from vitac.server.decisions.station_trials import planned_trials, store_picture, summarize
 from vitac.server.evaluations.lifecycle import cancel
 from vitac.server.principals import CONSOLE, VISITOR, Principal
 from vitac.server.queue.work import find_station
@@ -66,7 +64,7 @@ def test_every_page_says_of_a_twin_that_it_is_one_and_of_results_what_they_were_
         at = [find_station(trial.requires) for trial in trials]
         ants = next(trial for trial in trials if trial.evaluation.submission.team.name == "Ants")
         submission = f"/submissions/{ants.evaluation.submission_id}"
-        views = trial_plan.list_trials(session, CONSOLE, stage)
+        views = station_trials.list_trials(session, CONSOLE, stage)
     assert [each.twin for each in views] == [twin] * len(TEAMS) + [
         other if station == "east" else None for station in at[len(TEAMS) :]
     ]

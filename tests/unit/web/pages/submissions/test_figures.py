@@ -11,7 +11,7 @@ from vitac.envs.tasks.definition import SURFACE_DIFF
 from vitac.evaluator.ranking import make_ranking
 from vitac.server.database.states import EvaluationState
 from vitac.server.views.leaderboards import PastResultView
-from vitac.web.pages.submissions import figures
+from vitac.web.pages.submissions import submissions
 
 
 def test_a_complete_submission_has_plots_with_tables_that_links_of_the_page_save(site: SeededSite) -> None:
@@ -62,7 +62,7 @@ def test_the_history_shows_what_the_board_of_the_task_compares_first() -> None:
     evaluation = SimpleNamespace(state=EvaluationState.COMPLETED, id=uuid4(), scores=[])
     found: Any = SimpleNamespace(id=past[0].submission_id, tasks=[TASK], evaluation=evaluation)
     site: Any = SimpleNamespace(plots=SimpleNamespace(get=lambda _, make: make()))
-    (history,) = figures.figures(site, found, {TASK: "Peg"}, [], past)["history"]
+    (history,) = submissions.figures(site, found, {TASK: "Peg"}, [], past)["history"]
     assert len(history.table.rows) == 2, "one has no such value"
     assert history.summary.endswith("the best is 0.25 with 0.25."), "less motion is better"
 
@@ -81,5 +81,5 @@ def test_a_sealed_list_has_no_map_by_the_track_files_starts_and_its_team_no_plot
 def test_plots_are_made_once_for_an_evaluation(site: SeededSite, monkeypatch: pytest.MonkeyPatch) -> None:
     browser, path = site.visitor(GELBOTS), site.path_of("done")
     first = browser.get(path).text
-    monkeypatch.setattr(figures, "offset_maps", lambda *_: pytest.fail("They were made again."))
+    monkeypatch.setattr(submissions, "offset_maps", lambda *_: pytest.fail("They were made again."))
     assert browser.get(path).text == first

@@ -1,1 +1,0 @@
-"""`vitac receipt`: receipts of final results."""

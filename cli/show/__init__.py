@@ -1,1 +1,0 @@
-"""`vitac show`: draws an episode."""

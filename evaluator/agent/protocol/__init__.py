@@ -1,1 +1,0 @@
-"""What the evaluator and a policy say to each other: frames, channel, and what counts as an action."""

@@ -1,1 +1,0 @@
-"""What pages show as files, to be read by programs."""

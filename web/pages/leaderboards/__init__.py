@@ -1,1 +1,0 @@
-"""Boards of a track: models, and logs, by competition, stage and task."""

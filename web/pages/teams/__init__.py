@@ -1,1 +1,0 @@
-"""Pages of teams: registration, sign-in, members."""

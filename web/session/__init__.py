@@ -1,1 +1,0 @@
-"""The browser's session: its signed cookie, and the forms that belong to it."""
