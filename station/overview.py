@@ -61,14 +61,22 @@ class Overview:
 
 
 def write_code(code: str, file: Path) -> None:
-    """Write a picture of a code, whole at any time."""
+    """Write a picture of a code, whole at any time.
+
+    Raises:
+        DeviceFault: it cannot be written.
+    """
     import cv2
 
     modules = cv2.QRCodeEncoder.create().encode(code)
     large = cv2.resize(modules, None, fx=_MODULE_PX, fy=_MODULE_PX, interpolation=cv2.INTER_NEAREST)
     framed = np.pad(np.asarray(large), _QUIET_PX, constant_values=255)
     whole = file.with_suffix(".new.png")
-    cv2.imwrite(str(whole), framed)
+    if not cv2.imwrite(str(whole), framed):
+        raise DeviceFault(
+            f"The trial's code cannot be written to {file}, the `code_picture` of the station's file. Make its folder, "
+            "writable for the agent, with free space."
+        )
     whole.replace(file)
 
 

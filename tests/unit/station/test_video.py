@@ -15,6 +15,7 @@ from vitac.cli.station import app
 from vitac.evaluator.episodes.records import ActionSequence, EpisodeOutcome, EpisodeRecord, TrialEvidence, TrialVideo
 from vitac.evaluator.logs.log import LogHeader, write_log
 from vitac.station import video
+from vitac.station.devices.stage import DeviceFault
 from vitac.station.overview import Overview, read_code, write_code
 from vitac.station.twin.grasp import Mounted
 from vitac.station.twin.overview import OverviewTwin
@@ -188,6 +189,11 @@ def test_code_is_read_that_a_detector_of_opencv_never_finds(tmp_path: Path, code
     picture = OverviewTwin(stage, stage.axes, Mounted(), tmp_path / "code.png")()
     assert not cv2.QRCodeDetector().detectAndDecode(picture)[0]
     assert read_code(picture) == code
+
+
+def test_code_that_cannot_be_written_names_the_setting(tmp_path: Path) -> None:
+    with pytest.raises(DeviceFault, match="`code_picture` of the station's file"):
+        write_code(CODE, tmp_path / "none" / "code.png")
 
 
 def test_code_is_read_from_a_picture_and_nothing_from_noise(tmp_path: Path) -> None:
