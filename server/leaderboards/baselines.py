@@ -143,7 +143,7 @@ _FIGURES = (
         {"largest_bend_mm": 1.1044},
     ),
     _Figures("cable_end", "cable-end", "cable_end_scripted", {"cable": (36, 84)}, 14.64, {"largest_bend_mm": 1.1792}),
-    _Figures("cable_end", "cable-end", "cable_end_cloned", {"cable": (82, 38)}, 11.50, {"largest_bend_mm": 1.8025}),
+    _Figures("cable_end", "cable-end", "cable_end_cloned", {"cable": (71, 49)}, 10.82, {"largest_bend_mm": 1.8804}),
     _Figures(
         "assembly",
         "assembly",
