@@ -347,14 +347,18 @@ def test_time_of_all_processes_is_counted(whole: Path, tmp_path: Path, monkeypat
     assert 700 <= float(row["time/time_elapsed"]) < 800
 
 
+def times_of_changes(folder: Path) -> dict[Path, int]:
+    return {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.name != ".lock"}
+
+
 def test_other_training_or_version_is_refused(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    before = {path: path.stat().st_mtime_ns for path in whole.rglob("*")}
+    before = times_of_changes(whole)
     with pytest.raises(OtherRun, match="holds a run of another recipe; give another folder"):
         train_reference(TASK, whole, env_steps=ENV_STEPS, seed=1)
     monkeypatch.setattr(td3, "version", lambda name: f"another {name}")
     with pytest.raises(OtherRun):
         train(whole)
-    assert {path: path.stat().st_mtime_ns for path in whole.rglob("*")} == before
+    assert times_of_changes(whole) == before
 
 
 def test_fewer_env_steps_than_a_training_has_are_refused_before_its_result_is_lost(whole: Path) -> None:
@@ -462,7 +466,7 @@ def test_nothing_is_written_for_a_seed_whose_stream_an_official_list_has(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("vitac.training.streams.FIRST_STREAM", 0)
-    for seed, refusal in ((0, "Seed 0 is that of the official list of peg-insertion"), (-1, "The seed is -1")):
+    for seed, refusal in ((0, "Seed 0 is that of the official list of"), (-1, "The seed is -1")):
         with pytest.raises(StreamRefused, match=refusal):
             train_reference(TASK, tmp_path / "run", seed=seed)
     assert not (tmp_path / "run").exists()
