@@ -15,8 +15,6 @@ from .terminal.output import AsJson, Assets, existing_file, warn
 from .terminal.own_policy import fall_back_where_nothing_isolates
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     import numpy as np
     from numpy.typing import NDArray
     from vitac.envs.drawing.camera_view import DrawnQuantity

@@ -1,6 +1,9 @@
-"""Our own player of Track 3: a regression from markers to offsets, calibrated for each sensor."""
+"""The standard estimator: what it reads from a marker flow, its fixed controller, and its calibration to a sensor.
 
-import hashlib
+It is calibrated at starts that no evaluation plays, and plays in our own process, because nothing of a team's runs in
+it. The controller weighs each regression's estimate by its variance, and moves the offset away.
+"""
+
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from math import radians
@@ -13,151 +16,12 @@ from numpy.typing import NDArray
 
 from .agent.protocol import CloudSpec
 from .episodes.episode import Environment, make_environment
+from .regression import Coefficients, fit, normal_equations, solve
 from .sensors.made import read_design
-from .strict_model import StrictModel
 from .tracks import Task
 
 if TYPE_CHECKING:
     from .episodes.records import Observation
-
-
-Row = Sequence[float]
-
-
-def solve(matrix: Sequence[Row], right: Sequence[Row]) -> list[list[float]]:
-    """Return X of matrix X = right by Gaussian elimination with partial pivoting.
-
-    Args:
-        matrix: regular, shape [n, n].
-        right: shape [n, m].
-
-    Returns:
-        Shape [n, m].
-
-    Raises:
-        ValueError: the matrix is singular.
-    """
-    rows = [[*left, *others] for left, others in zip(matrix, right, strict=True)]
-    n = len(rows)
-    for column in range(n):
-        pivot = max(range(column, n), key=lambda row: abs(rows[row][column]))
-        if rows[pivot][column] == 0.0:
-            raise ValueError(f"expected a regular matrix, column {column} depends on those before it")
-        rows[column], rows[pivot] = rows[pivot], rows[column]
-        head = rows[column]
-        for row in range(column + 1, n):
-            factor = rows[row][column] / head[column]
-            rows[row] = [value - factor * above for value, above in zip(rows[row], head, strict=True)]
-    solution: list[list[float]] = [[] for _ in range(n)]
-    for row in reversed(range(n)):
-        values = rows[row][n:]
-        for other in range(row + 1, n):
-            values = [value - rows[row][other] * known for value, known in zip(values, solution[other], strict=True)]
-        solution[row] = [value / rows[row][row] for value in values]
-    return solution
-
-
-def normal_equations(rows: Sequence[Row], targets: Sequence[Row]) -> tuple[list[list[float]], list[list[float]]]:
-    """Return A^T A, shape [n, n], and A^T b, shape [n, m], summed row after row.
-
-    Args:
-        rows: A, shape [k, n].
-        targets: b, shape [k, m].
-    """
-    n, m = len(rows[0]), len(targets[0])
-    squares, products = [[0.0] * n for _ in range(n)], [[0.0] * m for _ in range(n)]
-    for row, target in zip(rows, targets, strict=True):
-        for i, value in enumerate(row):
-            squares[i] = [total + value * other for total, other in zip(squares[i], row, strict=True)]
-            products[i] = [total + value * other for total, other in zip(products[i], target, strict=True)]
-    return squares, products
-
-
-# Share of a standardised feature's variance that is added (ridge).
-_RIDGE = 0.03
-# Added to variances of the error [mm2, mm2, deg2], so that no estimate is ever taken as certain.
-_LEAST_VARIANCE = 0.05
-
-
-class Regression(StrictModel):
-    """A linear map of standardised features, and how far off it was where it was fitted.
-
-    `weights` has one row for the constant, then one for each feature; `variances` are those of the targets' errors.
-    """
-
-    means: tuple[float, ...]
-    scales: tuple[float, ...]
-    weights: tuple[tuple[float, ...], ...]
-    variances: tuple[float, ...]
-
-    def predict(self, features: Row) -> list[float]:
-        """Return the targets, shape [m]."""
-        predicted = list(self.weights[0])
-        for value, mean, scale, row in zip(features, self.means, self.scales, self.weights[1:], strict=True):
-            standard = (value - mean) / scale
-            predicted = [total + standard * weight for total, weight in zip(predicted, row, strict=True)]
-        return predicted
-
-
-class Coefficients(StrictModel):
-    """All that the standard estimator has learned of a sensor: a regression for each of the first env steps."""
-
-    format: int = 1
-    mesh_hash: str
-    starts: int
-    regressions: tuple[Regression, ...]
-
-    def as_bytes(self) -> bytes:
-        """Return what is stored; its digest names the coefficients."""
-        return self.model_dump_json().encode() + b"\n"
-
-    @property
-    def digest(self) -> str:
-        """SHA-256 [hex] of what is stored."""
-        return hashlib.sha256(self.as_bytes()).hexdigest()
-
-
-def fit(rows: Sequence[Row], targets: Sequence[Row]) -> Regression:
-    """Return the ridge regression of targets on standardised features.
-
-    With standardised features Z and n rows, the weights solve (Z^T Z + 0.03 n I) w = Z^T t, the constant without
-    penalty (A. E. Hoerl and R. W. Kennard, Ridge regression, Technometrics 12 (1970) 55-67, equation 2.1).
-
-    Args:
-        rows: features, shape [n, k].
-        targets: shape [n, m].
-    """
-    n = len(rows)
-    means = [_mean(column) for column in zip(*rows, strict=True)]
-    spreads = [
-        _mean([(value - mean) * (value - mean) for value in column]) ** 0.5
-        for column, mean in zip(zip(*rows, strict=True), means, strict=True)
-    ]
-    scales = [spread if spread > 0.0 else 1.0 for spread in spreads]
-    standard = [
-        [1.0, *((value - mean) / scale for value, mean, scale in zip(row, means, scales, strict=True))] for row in rows
-    ]
-    squares, products = normal_equations(standard, targets)
-    for feature in range(1, len(squares)):
-        squares[feature][feature] += _RIDGE * n
-    weights = solve(squares, products)
-    fitted = Regression(
-        means=tuple(means), scales=tuple(scales), weights=tuple(map(tuple, weights)), variances=(0.0,) * len(targets[0])
-    )
-    errors = [
-        [predicted - wanted for predicted, wanted in zip(fitted.predict(row), target, strict=True)]
-        for row, target in zip(rows, targets, strict=True)
-    ]
-    variances = [_mean([error * error for error in column]) + _LEAST_VARIANCE for column in zip(*errors, strict=True)]
-    return fitted.model_copy(update={"variances": tuple(variances)})
-
-
-def _mean(values: Sequence[float]) -> float:
-    total = 0.0
-    for value in values:
-        total += value
-    return total / len(values)
-
 
 # How much less certain an estimate is after a motion [mm2, mm2, deg2].
 _MOTION_VARIANCE = 0.05
@@ -233,7 +97,7 @@ def _turned(x: float, y: float, angle_deg: float) -> tuple[float, float]:
 # Half the picture, by which positions are scaled.
 _HALF_U_PX, _HALF_V_PX = 160.0, 120.0
 # Keeps the field defined where few markers are seen, or all on one line.
-_FIELD_RIDGE = 0.1
+_RIDGE = 0.1
 _TERMS = 6
 COUNT = 2 * 2 * _TERMS
 """Two sensors, two directions, six terms."""
@@ -270,7 +134,7 @@ def _field(reference: list[list[float]], current: list[list[float]]) -> list[flo
         motions.append((u_now - u, v_now - v))
     squares, products = normal_equations(rows, motions)
     for term in range(_TERMS):
-        squares[term][term] += _FIELD_RIDGE
+        squares[term][term] += _RIDGE
     coefficients = solve(squares, products)
     return [row[direction] for direction in range(2) for row in coefficients]
 
@@ -283,7 +147,6 @@ ENV_STEPS: Final = 4
 # Motions in the calibration remove a part of the true offset between these, and go this far beside it.
 _PARTS = (0.3, 1.2)
 _BESIDE = (1.7, 1.7, 3.5)
-
 
 Sample = tuple[int, list[float], list[float]]
 """Env step, row of features, and the offset in the gripper's frame."""

@@ -14,8 +14,8 @@ from sqlalchemy.orm import Session
 from vitac.errors import VitacError
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.episodes.records import EpisodeRecord, Manifest
-from vitac.evaluator.estimator import Coefficients
 from vitac.evaluator.figures.figures import FigureChoice, FiguresPart
+from vitac.evaluator.regression import Coefficients
 from vitac.evaluator.scoring.score import is_broken
 from vitac.evaluator.shards.order import ShardEnd, ShardOrder, ShardResult
 from vitac.evaluator.submission.manifest import load_manifest

@@ -21,8 +21,8 @@ from ..agent.isolation.packages import policy_versions
 from ..agent.limits import Limits
 from ..agent.session import Isolation
 from ..episodes.records import EpisodeRecord, Manifest, PolicyFailure, RecordsDisagree, result_hash, sort_records
-from ..estimator import Coefficients
 from ..figures.figures import FigureChoice, FiguresPart
+from ..regression import Coefficients
 from ..scoring.score import Score, breaking_failure, score
 from ..shards.execution import ShardHere, ShardsHere
 from ..shards.host_process import CAN_FORK, HostProcess

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from ..episodes.episode import make_environment
 from ..episodes.records import EpisodeRecord
-from ..estimator import Coefficients
 from ..figures.figures import FigureChoice, SensorFigures, merged
 from ..figures.starts import measure_whole
 from ..figures.table import list_missing_rows
+from ..regression import Coefficients
 from ..scoring.comparison import SensingGain, sensing_gain
 from ..scoring.score import Rate
 from ..sensors.check import accepted_sensor

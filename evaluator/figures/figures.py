@@ -8,7 +8,7 @@ from typing import Final
 
 from pydantic import Field, NonNegativeFloat, PositiveInt
 
-from ..estimator import solve
+from ..regression import solve
 from ..strict_model import StrictModel
 
 FORMAT: Final = 1

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from ..episodes.episode import Environment, make_environment, run_episode
 from ..episodes.records import EpisodeOutcome
-from ..estimator import Coefficients, EstimatorSession
+from ..estimator import EstimatorSession
+from ..regression import Coefficients
 from ..tracks import Episode, Task
 from .figures import (
     ENV_STEPS,

@@ -30,8 +30,9 @@ from vitac.errors import VitacError
 
 from ..agent.isolation.packages import installed_packages
 from ..episodes.episode import make_environment
-from ..estimator import STARTS, Coefficients, calibrated, is_calibrated, take
+from ..estimator import STARTS, calibrated, is_calibrated, take
 from ..parent_death import end_with_parent
+from ..regression import Coefficients
 from ..sensors.made import read_design
 from ..tracks import Player, Task
 from ..tracks.registry import compute_hash, list_parts, list_tracks, load_track

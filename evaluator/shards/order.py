@@ -15,10 +15,10 @@ from vitac.errors import VitacError
 from ..agent.limits import Limits
 from ..agent.session import Isolation
 from ..episodes.records import EpisodeRecord, Manifest, PolicyFailure
-from ..estimator import Coefficients
 from ..figures.figures import FigureChoice, FiguresPart
 from ..isolation_kinds import IsolationKind
 from ..logs.findings import LogFinding
+from ..regression import Coefficients
 from ..strict_model import StrictModel
 from ..submission_kinds import SubmissionKind
 from ..tracks import Task, Track, load_track

@@ -93,7 +93,7 @@ def read_tar(read: Read, what: str) -> Iterator[TarEntry]:
         content = _Content(read, size if header.type in _FILES else 0, what)
         yield TarEntry(
             path=extended.get("path", header.name),
-            type=_type_of(header, extended),
+            type=_find_type(header, extended),
             link=extended.get("linkpath", header.linkname),
             mode=header.mode,
             modified_s=_number(extended.get("mtime", str(header.mtime)).partition(".")[0], what),
@@ -142,7 +142,7 @@ def _parse_header(block: bytes, what: str) -> tarfile.TarInfo:
         raise damaged(what, f"a header cannot be read ({error})") from error
 
 
-def _type_of(header: tarfile.TarInfo, extended: Mapping[str, str]) -> EntryType:
+def _find_type(header: tarfile.TarInfo, extended: Mapping[str, str]) -> EntryType:
     if any(key.startswith("GNU.sparse") for key in extended):
         return EntryType.SPECIAL
     return _TYPES.get(header.type, EntryType.SPECIAL)

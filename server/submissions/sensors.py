@@ -9,8 +9,8 @@ from uuid import UUID
 
 from sqlalchemy import ColumnElement, select
 from sqlalchemy.orm import Session
-from vitac.evaluator.estimator import Coefficients
 from vitac.evaluator.figures.figures import FiguresPart, SensorFigures, merged
+from vitac.evaluator.regression import Coefficients
 from vitac.evaluator.scoring.comparison import RunsDiffer, SensingGain, sensing_gain
 from vitac.evaluator.tracks import Player, load_track
 

@@ -1,4 +1,4 @@
-"""Takes submissions off all boards: withdrawn by their team, or disqualified by an organizer."""
+"""Takes submissions off all boards: withdrawn by their team, disqualified by an organizer, or uncleared copies."""
 
 from uuid import UUID
 

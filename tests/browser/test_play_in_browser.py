@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, Page, expect
-from vitac.cli.play.command import PlayServer
+from vitac.cli.play.server import PlayServer
 from vitac.training.demonstrations.hand_play import HandPlay
 
 

@@ -1,4 +1,4 @@
-"""Pages of one episode: its map, plots and playback; what others embed of it."""
+"""Pages of one episode: its map, plots and playback; what others embed of it; the page of a station's trial."""
 
 import asyncio
 from collections.abc import Sequence
@@ -23,6 +23,7 @@ from vitac.server.leaderboards.reading import shown_leaderboard
 from vitac.server.playbacks import asking, comparisons, work
 from vitac.server.playbacks.asking import NOBODY_DRAWS, PlaybackFile
 from vitac.server.principals import Principal
+from vitac.server.submissions import trials
 from vitac.server.views.comparisons import EpisodeChoiceView, PlaybackView, ShownEpisodeView
 
 from ..headers import EMBEDDED
@@ -34,6 +35,7 @@ from .addresses import as_id
 
 FOLDERS = ("episodes", "practice")
 """Addresses of episodes below a submission's page: of its result, and of the public list played beside a sealed one."""
+TRIAL = "/submissions/{submission_id}/trials/{task}/{number}"
 EMBED = "/embed"
 """Before an episode's address: its player alone, for frames of other sites."""
 PLAYER = "playback.js"
@@ -385,3 +387,36 @@ def without_session(show: Page) -> Page:
         return await show(Request(dict(request.scope) | {"headers": headers}, request.receive))
 
     return shown
+
+
+@open_to_all
+async def trial(request: Request) -> Response:
+    """Show a trial to whoever may see it."""
+    viewer, place = await get_viewer(request), read_place(request)
+    by = get_principal(viewer)
+    view = await get_site(request).ask(
+        lambda session: trials.find_trial(session, by, place.submission_id, place.task, place.number)
+    )
+    task = load_track(view.track).task(view.task)
+    return page(
+        request,
+        "trial.html",
+        viewer=viewer,
+        section="" if viewer is None else "/submissions",
+        trial=view,
+        title=f"{task.title}, trial {view.episode}",
+        start=describe_start(task, view.initial_offset),
+        ending=view.outcome.sentence,
+    )
+
+
+@open_to_all
+async def trial_video(request: Request) -> Response:
+    """Answer with the video of a trial."""
+    viewer, place = await get_viewer(request), read_place(request)
+    by, site = get_principal(viewer), get_site(request)
+    named = place.submission_id, place.task, place.number
+    file = await site.ask(lambda session: trials.find_video(session, by, *named))
+    content = await asyncio.to_thread(site.services.blobs.read, file.sha256)
+    headers = {"Cache-Control": "private, no-cache", "Content-Disposition": f'inline; filename="{file.name}"'}
+    return Response(content, media_type="video/x-motion-jpeg", headers=headers)

@@ -33,7 +33,6 @@ from . import (
     service,
     teams,
     tracks,
-    trial,
 )
 from .files import TableFormat
 from .forms import form
@@ -158,8 +157,8 @@ def pages() -> APIRouter:
         ("/competitions/{competition}", competition.competition, "GET"),
         (f"{_COMPETITION}/tracks/{{track}}/stages/{{stage}}/trials", competition.trials, "GET"),
         (f"{_COMPETITION}/tracks/{{track}}/stages/{{stage}}/live/{{station}}", competition.live_picture, "GET"),
-        (trial.ADDRESS, trial.trial, "GET"),
-        (f"{trial.ADDRESS}/video", trial.video, "GET"),
+        (episodes.TRIAL, episodes.trial, "GET"),
+        (f"{episodes.TRIAL}/video", episodes.trial_video, "GET"),
         ("/competitions/{competition}/archive", competition.archive, "GET"),
         ("/competitions/{competition}/receipts", service.receipts, "GET"),
         ("/competitions/{competition}/appeals", desk.list_appeals, "GET"),

@@ -76,7 +76,7 @@ class UserIsolation(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Descriptors:
-    """Descriptors that the command inherits."""
+    """Descriptors of bubblewrap's own; the runtime finds channel and status pipe by itself."""
 
     seccomp: int
     passwd: int

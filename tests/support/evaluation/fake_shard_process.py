@@ -16,7 +16,7 @@ from evaluation_records import make_manifest
 from vitac.evaluator import estimator
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.agent.verdicts import SandboxFailed
-from vitac.evaluator.estimator import Coefficients
+from vitac.evaluator.regression import Coefficients
 from vitac.evaluator.shards import execution, host
 from vitac.evaluator.shards.order import OrderedShard, ShardEnd, ShardResult
 from vitac.evaluator.submission.manifest import SubmissionManifest

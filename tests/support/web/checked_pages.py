@@ -5,9 +5,8 @@ from collections.abc import Iterable
 from starlette.routing import Route
 from vitac.web.pages.briefs import ADDRESS as BRIEFS
 from vitac.web.pages.briefs import STAGE
-from vitac.web.pages.episodes import EMBED
+from vitac.web.pages.episodes import EMBED, TRIAL
 from vitac.web.pages.routes import EPISODES, pages
-from vitac.web.pages.trial import ADDRESS as TRIAL
 
 TRIALS = f"{STAGE}/trials"
 BOARD = "/tracks/track_1?stage=stage1"

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from service_factories import ISOLATION, make_manifest, make_record
 from vitac.evaluator.episodes.records import EpisodeRecord, PolicyFailure
-from vitac.evaluator.estimator import Coefficients
 from vitac.evaluator.figures.figures import FiguresPart
+from vitac.evaluator.regression import Coefficients
 from vitac.evaluator.scoring.score import is_broken
 from vitac.evaluator.shards.host_process import ShardProcessFailed
 from vitac.evaluator.shards.order import ShardEnd, ShardOrder, ShardResult

@@ -2,14 +2,8 @@ from collections.abc import Sequence
 from math import cos, radians, sin
 
 import pytest
-from vitac.evaluator.estimator import (
-    Coefficients,
-    Controller,
-    Regression,
-    append_motion,
-    move_offset,
-    rotate_to_gripper,
-)
+from vitac.evaluator.estimator import Controller, append_motion, move_offset, rotate_to_gripper
+from vitac.evaluator.regression import Coefficients, Regression
 
 SCALE = (2.0, 2.0, 4.0)
 

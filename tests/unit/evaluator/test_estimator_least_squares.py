@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from vitac.evaluator.estimator import normal_equations, solve
+from vitac.evaluator.regression import normal_equations, solve
 
 
 @given(st.integers(0, 10**6), st.integers(1, 6), st.integers(1, 3))

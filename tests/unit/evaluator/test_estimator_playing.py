@@ -1,5 +1,6 @@
 import numpy as np
-from vitac.evaluator.estimator import COUNT, Coefficients, EstimatorSession, Regression
+from vitac.evaluator.estimator import COUNT, EstimatorSession
+from vitac.evaluator.regression import Coefficients, Regression
 
 SCALE = (2.0, 2.0, 4.0)
 # The first feature is the common motion along u in the left picture; the estimate of x is that.

@@ -2,7 +2,7 @@ import hashlib
 
 import numpy as np
 import pytest
-from vitac.evaluator.estimator import Coefficients, Regression, fit
+from vitac.evaluator.regression import Coefficients, Regression, fit
 
 RANDOM = np.random.default_rng(3)
 ROWS = RANDOM.normal(2.0, 3.0, (200, 4))

@@ -31,9 +31,9 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 from structlog.testing import capture_logs
 from vitac.evaluator.episodes.records import EpisodeRecord, TrialEvidence, TrialVideo
-from vitac.evaluator.estimator import Coefficients
 from vitac.evaluator.figures.figures import FiguresPart
 from vitac.evaluator.package_sets import digest_of_packages
+from vitac.evaluator.regression import Coefficients
 from vitac.evaluator.shards.host_process import ShardProcessFailed
 from vitac.evaluator.shards.order import ShardOrder, ShardResult
 from vitac.evaluator.submission_kinds import SubmissionKind

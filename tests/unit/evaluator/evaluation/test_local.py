@@ -11,10 +11,10 @@ import pytest
 from evaluation_records import make_manifest
 from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import EpisodeRecord
-from vitac.evaluator.estimator import Coefficients
 from vitac.evaluator.evaluation import local
 from vitac.evaluator.evaluation.local import FinishedShard, LocalEvaluation, StoredShards, evaluate
 from vitac.evaluator.figures.figures import FigureChoice
+from vitac.evaluator.regression import Coefficients
 from vitac.evaluator.shards import host_process
 from vitac.evaluator.shards.host_process import ShardProcessFailed
 from vitac.evaluator.shards.order import ShardEnd, ShardOrder, ShardResult

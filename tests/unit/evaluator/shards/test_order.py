@@ -8,9 +8,9 @@ from pydantic import ValidationError
 from vitac.evaluator.agent.limits import Limits
 from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import FailureStage, PolicyFailure
-from vitac.evaluator.estimator import Coefficients
 from vitac.evaluator.figures.figures import FigureChoice
 from vitac.evaluator.isolation_kinds import IsolationKind
+from vitac.evaluator.regression import Coefficients
 from vitac.evaluator.shards.order import PROCESS_ID, ShardMessage, ShardOrder, decode_waiting, encode_waiting
 from vitac.evaluator.submission_kinds import SubmissionKind
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from shared_simulation import SharedProcesses
 from vitac.evaluator.episodes.records import EpisodeRecord
-from vitac.evaluator.estimator import Coefficients
+from vitac.evaluator.regression import Coefficients
 from vitac.evaluator.shards import process as shard_process
 from vitac.evaluator.shards.host_process import HostProcess, ShardProcessFailed
 from vitac.evaluator.shards.order import OnCalibration, ShardEnd, ShardOrder, ShardResult

@@ -20,9 +20,9 @@ from service_factories import claim, make_record, play_all, shard_ids, store, ta
 from sqlalchemy import delete, select, text, update
 from vitac.errors import VitacError
 from vitac.evaluator.agent.verdicts import SandboxFailed
-from vitac.evaluator.estimator import Coefficients
 from vitac.evaluator.figures.figures import FigureChoice, FiguresPart, SensorFigures, Variation
 from vitac.evaluator.playback import SCENE_FILE, PlaybackOrder
+from vitac.evaluator.regression import Coefficients
 from vitac.evaluator.sensors.made import MadeSensor, read_design, read_made_sensor
 from vitac.evaluator.sensors.manifest import SensorRejected
 from vitac.evaluator.shards.order import ShardOrder
