@@ -1,4 +1,4 @@
-"""Writes the tables of docs/variants.md from the figures beside this file.
+"""Writes the tables of docs/variants.md and of the README beside this file from the figures there.
 
 python benchmarks/variants/tables.py
 
@@ -17,17 +17,24 @@ from vitac.evaluator.tracks.registry import find_task
 
 FOLDER = Path(__file__).parent
 DOCUMENT = FOLDER.parents[1] / "docs" / "variants.md"
+README = FOLDER / "README.md"
 SWEPT = ("peg-insertion-robust", "lock-opening-robust", "fusion-robust")
 
 
 def main() -> None:
     """Put every table in the place of the one that stands there."""
-    text = DOCUMENT.read_text()
-    for name, table in {"headroom": headroom(), **{task: quantities(task) for task in SWEPT}}.items():
+    fill(DOCUMENT, {"headroom": headroom()})
+    fill(README, {task: quantities(task) for task in SWEPT})
+
+
+def fill(document: Path, tables: dict[str, str]) -> None:
+    """Put each table where the document has its name."""
+    text = document.read_text()
+    for name, table in tables.items():
         found = re.search(rf"<!-- table {name} -->\n(.*?)<!-- end -->", text, re.DOTALL)
         assert found, name  # noqa: S101 - the page has a place for each
         text = text[: found.start(1)] + table + text[found.end(1) :]
-    DOCUMENT.write_text(text)
+    document.write_text(text)
 
 
 def headroom() -> str:
