@@ -127,7 +127,7 @@ class HiddenStructure(StrictModel):
 
 
 def draw_structure(generator: np.random.Generator) -> HiddenStructure:
-    """Draw the structure of a twin of class B; sizes and their sources are in docs/station.md."""
+    """Draw the structure of a twin of class B; docs/simulation-and-station.md has its sizes."""
 
     def between(low: float, high: float) -> float:
         return float(generator.uniform(low, high))
