@@ -10,11 +10,12 @@ from fastapi import APIRouter, Request, Response
 from pydantic import Field, FiniteFloat
 
 from ..competitions.competition import Competition
-from ..decisions import briefs, entered_results
+from ..decisions import entered_results
 from ..errors import ProblemCode, ServiceError
 from ..leaderboards import baselines
 from ..principals import Principal
 from ..services import Services
+from ..submissions import briefs
 from ..views.by_hand import BriefListView, BriefView, EnteredBoardView
 from ..views.leaderboards import BaselineView
 from .access import (

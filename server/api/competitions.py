@@ -23,11 +23,11 @@ from ..competitions.definition import CompetitionDefinition, require_known_track
 from ..competitions.view import competition_list_view, competition_view, disqualified_since_the_end
 from ..confirmations import Concern, compute_revision, require_shown
 from ..database.clock import read_clock
-from ..decisions import advancement, final_list, finishing, station_trials
+from ..decisions import advancement, finishing, station_trials
 from ..decisions.exporting import export_receipts
 from ..decisions.publishing import archive_view, result_files
 from ..errors import ProblemCode, ServiceError
-from ..submissions import stage_files
+from ..submissions import final_list, stage_files
 from ..views.base import View
 from ..views.competition import AdvancementView, ArchiveView, CompetitionListView, CompetitionView, PlannedTrialView
 from .access import ChangingServicesOf, CompetitionOrganizerOf, OrganizerOf, ServicesOf, VisitorOf

@@ -9,9 +9,8 @@ from fastapi import APIRouter, Path, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..accounts import outbox, stations
-from ..audit import entry_view, newest_entries
+from ..audit import entry_view, list_audit_digests, newest_entries
 from ..database.states import WorkerOrder
-from ..decisions.audit_digests import list_audit_digests
 from ..queue import workers
 from ..views.correspondence import NoticeView
 from ..views.operations import WorkerView

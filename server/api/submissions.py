@@ -17,7 +17,6 @@ from vitac.evaluator.submission_kinds import SubmissionKind
 
 from ..accounts.teams import REASON_LENGTH
 from ..database.states import EvaluationState
-from ..decisions import final_list
 from ..evaluations import action_matches
 from ..evaluations.logs import export_log
 from ..leaderboards import descriptions, public_pages
@@ -25,7 +24,7 @@ from ..limiter import UPLOADS
 from ..names import TEXT_LENGTH
 from ..principals import Principal
 from ..services import Services
-from ..submissions import files, listing, runs, sensors, trials, upload, withdrawal
+from ..submissions import files, final_list, listing, runs, sensors, trials, upload, withdrawal
 from ..submissions.comparison import MAX_COMPARED, compare_results
 from ..submissions.intake import AnnouncedUpload
 from ..submissions.listing import model_card

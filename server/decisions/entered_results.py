@@ -20,8 +20,8 @@ from ..database.clock import read_clock
 from ..database.models import EnteredResult, Team
 from ..errors import ProblemCode, ServiceError
 from ..principals import VISITOR, Principal
+from ..submissions.briefs import is_accepted
 from ..views.by_hand import EnteredBoardView, EnteredEntryView, EnteredTaskView
-from .briefs import is_accepted
 
 
 def enter(

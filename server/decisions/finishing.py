@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 
 from .. import names
 from ..accounts.teams import REASON_LENGTH
-from ..audit import newest_entries, record
+from ..audit import append_audit_digest, newest_entries, record
 from ..competitions.competition import Competition
 from ..competitions.definition import TrackRules
 from ..competitions.stages import Stage
@@ -31,7 +31,6 @@ from ..tracks import known_track
 from ..transparency.log import append
 from ..views.leaderboards import LeaderboardEntryView, LeaderboardView
 from . import entered_results
-from .audit_digests import append_audit_digest
 from .judging import judged, ranked_by_total
 
 FINALIZE_AGAIN = "competition.finalize_again"

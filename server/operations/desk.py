@@ -15,7 +15,7 @@ from ..competitions.definition import StageRules
 from ..competitions.stages import Stage
 from ..database.clock import read_clock
 from ..database.models import ArchiveCopy, EpisodeDifference, Evaluation, LogCopy, NearCopy, Qualification, Submission
-from ..decisions.drift import Drift, list_drifts
+from ..evaluations.drift import Drift, list_drifts
 from ..evaluations.history import count_running
 from ..evaluations.verdicts import ServiceVerdict
 from ..principals import Principal

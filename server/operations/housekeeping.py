@@ -11,9 +11,8 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from ..accounts.merging import forget_contacts
+from ..audit import DIGEST_EVERY, append_audit_digest
 from ..database.metrics import RetryReason, TotalsWriter
-from ..decisions.audit_digests import EVERY, append_audit_digest
-from ..decisions.final_list import play_due
 from ..evaluations.lifecycle import give_up
 from ..evaluations.superseding import supersede_outdated
 from ..leaderboards.board_cache import forget_old_notes
@@ -26,6 +25,7 @@ from ..storage import stored_files
 from ..storage.scratch import remove_leftovers
 from ..submissions import partial_uploads
 from ..submissions.files import stored_digests
+from ..submissions.final_list import play_due
 
 logger = structlog.get_logger(__name__)
 
@@ -111,7 +111,7 @@ class Housekeeping:
             with self._services.database.transaction() as session:
                 play_due(session)
             with self._services.database.transaction() as session:
-                append_audit_digest(session, every=EVERY)
+                append_audit_digest(session, every=DIGEST_EVERY)
             with self._services.database.transaction() as session:
                 ask_for_missing_stills(session, self._services.settings, self._have_stills)
         with self._services.database.transaction() as session:

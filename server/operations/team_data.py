@@ -30,12 +30,12 @@ from ..database.models import (
     Webhook,
 )
 from ..database.states import ACTIVE_EVALUATION_STATES, Role
-from ..decisions.briefs import brief_view
 from ..errors import ProblemCode, ServiceError
 from ..evaluations.history import histories
 from ..principals import Principal
 from ..settings import Settings
 from ..submissions.appeals import appeal_view
+from ..submissions.briefs import brief_view
 from ..submissions.listing import submission_views
 from ..submissions.withdrawal import REMOVED, erase_output
 from ..views.team_data import TeamDataView

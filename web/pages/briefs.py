@@ -9,9 +9,9 @@ from starlette.responses import RedirectResponse, Response
 from vitac.server.api import by_hand
 from vitac.server.competitions.competition import Competition
 from vitac.server.competitions.stages import Stage
-from vitac.server.decisions import briefs
 from vitac.server.errors import ServiceError
 from vitac.server.principals import Audience
+from vitac.server.submissions import briefs
 from vitac.server.views.by_hand import BriefView
 
 from ..session import read_file_form

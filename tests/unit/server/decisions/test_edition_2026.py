@@ -15,12 +15,13 @@ from vitac.server.competitions.competition import Competition
 from vitac.server.competitions.definition import CompetitionDefinition, read_competition
 from vitac.server.competitions.view import competition_view
 from vitac.server.database.engine import Database
-from vitac.server.decisions import advancement, briefs, entered_results, finishing
-from vitac.server.decisions.briefs import count_pages
+from vitac.server.decisions import advancement, entered_results, finishing
 from vitac.server.decisions.publishing import result_files
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.operations import team_data
 from vitac.server.principals import CONSOLE, VISITOR, Principal
+from vitac.server.submissions import briefs
+from vitac.server.submissions.briefs import count_pages
 from vitac.server.views.by_hand import EnteredBoardView
 
 from competitions import open_now, put_in_place

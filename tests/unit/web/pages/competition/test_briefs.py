@@ -9,7 +9,7 @@ from asgi_browser import AsgiBrowser
 from httpx import Response
 from seeded_site import BEARS, GELBOTS, ORGANIZERS, SeededSite, form_token, words
 from vitac.server.competitions.definition import read_competition
-from vitac.server.decisions.briefs import BRIEF_BYTES
+from vitac.server.submissions.briefs import BRIEF_BYTES
 
 from competitions import open_now
 

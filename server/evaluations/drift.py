@@ -11,7 +11,7 @@ from vitac.evaluator.scoring.score import ALARM_BELOW, CombinedScore, drift_p_va
 from ..competitions.stages import Stage
 from ..database.models import Evaluation, Submission, Team
 from ..database.states import EvaluationState
-from ..evaluations.scores import combine_scores, combined_score, read_fresh_scores
+from .scores import combine_scores, combined_score, read_fresh_scores
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,10 +5,10 @@ from datetime import timedelta
 import pytest
 from service_factories import make_principal
 from sqlalchemy import text
+from vitac.server import audit
 from vitac.server.accounts import teams
+from vitac.server.audit import append_audit_digest, list_audit_digests
 from vitac.server.database.engine import Database
-from vitac.server.decisions import audit_digests
-from vitac.server.decisions.audit_digests import append_audit_digest, list_audit_digests
 from vitac.server.principals import CONSOLE
 
 
@@ -27,7 +27,7 @@ def digests(database: Database, *, every: timedelta = timedelta()) -> list[tuple
 def test_lines_that_were_changed_or_removed_do_not_agree_with_the_public_log(
     database: Database, monkeypatch: pytest.MonkeyPatch, tampering: str
 ) -> None:
-    monkeypatch.setattr(audit_digests, "SETTLED_AFTER", timedelta())
+    monkeypatch.setattr(audit, "SETTLED_AFTER", timedelta())
     assert digests(database) == []
     register(database)
     first = digests(database)

@@ -26,7 +26,6 @@ from vitac.server.competitions.definition import AT_ONCE_RUNS, CompetitionDefini
 from vitac.server.competitions.sealing import find_secret, reveal, sealed_lists
 from vitac.server.database.engine import Database
 from vitac.server.database.models import FreshList, ReceiptRow, Shard, Submission
-from vitac.server.decisions.final_list import choose, play, play_due
 from vitac.server.decisions.finishing import finalize
 from vitac.server.errors import ProblemCode
 from vitac.server.evaluations.history import newest_evaluation
@@ -35,6 +34,7 @@ from vitac.server.leaderboards.standings import leaderboard
 from vitac.server.operations.desk import read_desk
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import listing
+from vitac.server.submissions.final_list import choose, play, play_due
 
 from competitions import FIRST, make_competition, moved, open_now, put_in_place, shown_stage, stored_stage
 
