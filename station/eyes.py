@@ -295,8 +295,8 @@ class OpenStation:
 def open_station(description: StationDescription, held: HeldPart | None = None) -> Iterator[OpenStation]:
     """Open the devices and watch them until the context ends.
 
-    A stage in alarm is homed, one that was held gives up its motion, and the force/torque sensor is zeroed if the
-    gripper holds nothing: whoever calls this has made the station safe.
+    A stage in alarm is homed unless the gripper may hold a key in its lock, one that was held gives up its motion, and
+    the force/torque sensor is zeroed if the gripper holds nothing: whoever calls this has made the station safe.
 
     Args:
         description: of the station.
@@ -367,16 +367,34 @@ def _free(stage: LinearStage, description: StationDescription, procedure: Proced
             sleep(_LOOK_S)
 
 
+def _free_locked(stage: LinearStage, description: StationDescription, procedure: Procedure, beside_mm: Beside) -> None:
+    """Take a held key out of its lock before a stage in alarm is homed, which lifts it first.
+
+    Raises:
+        DeviceFault: people are there to do it.
+    """
+    if procedure.task is not StationTask.LOCK:
+        return
+    if procedure.release is not Release.AUTOMATIC:
+        raise DeviceFault(
+            "The stage is in alarm and the gripper is closed. Homing lifts it first, which would break a key in its "
+            "lock: open the gripper by hand, and put the key into its garage."
+        )
+    stage.unlock()
+    _free(stage, description, procedure, beside_mm)
+
+
 def _make_ready(
     stage: LinearStage, gripper: HandE, box: ForceTorqueSensor, description: StationDescription, beside_mm: Beside
 ) -> None:
-    state = stage.status().state
+    procedure, state = description.procedure, stage.status().state
     if state is GrblState.ALARM:
+        if procedure is not None and gripper.status().position > procedure.open_position:
+            _free_locked(stage, description, procedure, beside_mm)
         stage.home()
     elif state is GrblState.HOLD:
         stage.forget_motion()
     gripper.activate()
-    procedure = description.procedure
     if procedure is not None and gripper.status().position > procedure.open_position:
         _free(stage, description, procedure, beside_mm)
     elif procedure is not None:

@@ -148,6 +148,11 @@ class LinearStage:
         self.forget_motion()
         self._command("$H", answer_s=_HOME_S)
 
+    def unlock(self) -> None:
+        """Reset the controller and end its alarm where the stage stands; the position may be some steps off."""
+        self.forget_motion()
+        self._command("$X")
+
     def start_move(self, target: Pose, *, feed: float) -> None:
         """Start a straight motion without a check: `vitac.station.guard` makes it.
 

@@ -201,6 +201,9 @@ class StageTwin:
         if line == "$H":
             self._position, self._motion, self._alarm = (0.0, 0.0, 0.0, 0.0), None, False
             return "ok\r\n"
+        if line == "$X":
+            self._alarm = False
+            return "[MSG:Caution: Unlocked]\r\nok\r\n"
         if self._alarm:
             return "error:9\r\n"
         return self._start(dict(_WORD.findall(line.replace("G90", "").replace("G94", ""))))

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from vitac.station.description import Procedure, Release, StagePose, StationTask
-from vitac.station.devices.stage import DeviceFault, Pose
-from vitac.station.eyes import Eyes, Finger, _free
+from vitac.station.devices.stage import DeviceFault, GrblState, Pose
+from vitac.station.eyes import Eyes, Finger, _free, _make_ready
 from vitac.station.guard import StopCause
 from vitac.station.perception.markers import DROPPED_PICTURES
 from vitac.station.twin.gel_view import SMALL_CAMERA, marker_grid
@@ -40,7 +40,7 @@ class Stage:
     """Stands somewhere, and notes where it was sent."""
 
     def __init__(self, at: Pose) -> None:
-        self.way = [at]
+        self.way: list[Any] = [at]
 
     def status(self) -> SimpleNamespace:
         return SimpleNamespace(pose=self.way[-1], is_moving=False)
@@ -48,6 +48,25 @@ class Stage:
     def start_move(self, target: Pose, feed: float) -> None:
         assert feed == 180.0
         self.way.append(target)
+
+
+class LockedStage(Stage):
+    """In alarm until it is homed or unlocked."""
+
+    state = GrblState.ALARM
+
+    def status(self) -> SimpleNamespace:
+        return SimpleNamespace(
+            pose=self.way[-1] if self.way[-1] != "unlock" else self.way[-2], is_moving=False, state=self.state
+        )
+
+    def home(self) -> None:
+        self.state = GrblState.IDLE
+        self.way += ["home", Pose(0.0, 0.0, 0.0, 0.0)]
+
+    def unlock(self) -> None:
+        self.state = GrblState.IDLE
+        self.way.append("unlock")
 
 
 @pytest.mark.parametrize(
@@ -69,6 +88,36 @@ def test_what_a_killed_agent_left_pressed_onto_something_is_taken_away(
     waits = procedure.model_copy(update={"release": Release.OPERATOR})
     _free(stage, description, waits, (1.5, -1.0))
     assert len(stage.way) == len(way) + 1
+
+
+@pytest.mark.parametrize(
+    ("task", "way"),
+    [
+        (StationTask.PEG, ["home", (0.0, 0.0, 0.0, 0.0)]),
+        (StationTask.LOCK, ["unlock", (3.0, 1.0, -40.0, 2.0), (75.0, 0.0, -40.0, 2.0), "home", (0.0, 0.0, 0.0, 0.0)]),
+    ],
+)
+def test_key_leaves_its_lock_before_a_stage_in_alarm_is_homed(task: StationTask, way: list[Any]) -> None:
+    hole, garage = StagePose(x_mm=0, y_mm=0, z_mm=-40), StagePose(x_mm=75, y_mm=0, z_mm=-40)
+    procedure = Procedure(task=task, shape="any", hole=hole, garage=garage, safe_z_mm=-20, release=Release.AUTOMATIC)
+    force_torque = SimpleNamespace(rate_hz=100)
+    description: Any = SimpleNamespace(
+        limits=SimpleNamespace(speed_mm_s=3.0), patience=1.0, procedure=procedure, force_torque=force_torque
+    )
+    box: Any = SimpleNamespace(start=lambda _rate_hz: None)
+    gripper: Any = SimpleNamespace(activate=lambda: None, status=lambda: SimpleNamespace(position=200))
+    stage: Any = LockedStage(Pose(3.0, 1.0, -36.0, 2.0))
+    _make_ready(stage, gripper, box, description, (0.0, 0.0))
+    assert stage.way[1:] == way
+    description.procedure = procedure.model_copy(update={"release": Release.OPERATOR})
+    waiting: Any = LockedStage(Pose(3.0, 1.0, -36.0, 2.0))
+    if task is StationTask.LOCK:
+        with pytest.raises(DeviceFault, match="open the gripper by hand, and put the key into its garage"):
+            _make_ready(waiting, gripper, box, description, (0.0, 0.0))
+        assert len(waiting.way) == 1
+    else:
+        _make_ready(waiting, gripper, box, description, (0.0, 0.0))
+        assert waiting.way[1] == "home"
 
 
 class Guarded:

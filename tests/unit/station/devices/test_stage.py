@@ -103,6 +103,17 @@ def test_reset_in_motion_loses_the_position_and_homing_finds_it(stage: LinearSta
     assert stage.status().pose == Pose(0, 0, 0, 0)
 
 
+def test_unlocked_stage_stands_where_its_alarm_stopped_it(stage: LinearStage, twin: StageTwin, clock: Clock) -> None:
+    stage.start_move(TARGET, feed=600.0)
+    clock.now_s = 100.0
+    twin.faults.add(StageFault.ALARM)
+    with pytest.raises(DeviceFault, match="ALARM:1"):
+        stage.start_move(Pose(0, 0, 0, 0), feed=600.0)
+    twin.faults.clear()
+    stage.unlock()
+    assert stage.status() == StageStatus(state=GrblState.IDLE, is_moving=False, pose=TARGET)
+
+
 def test_limit_switch_is_a_fault_with_its_remedy(stage: LinearStage, twin: StageTwin) -> None:
     twin.faults.add(StageFault.ALARM)
     with pytest.raises(DeviceFault, match=r"ALARM:1\. It met a limit switch"):
