@@ -12,6 +12,7 @@ from .eyes import SensorReading
 from .guard import KEY_PULL_MM, KEY_X_RANGE_MM, KEY_Z_RANGE_MM, LARGEST_BESIDE_MM
 from .held_part import Beside
 from .outcome import TrialOutcome
+from .preflight import PreflightFinding
 from .trial import StationTrial
 
 _LIFTED_MM: Final = 4.0
@@ -35,13 +36,13 @@ class LockTrial(StationTrial):
         self._beside_mm: Beside = tuple(drawn.uniform(-LARGEST_BESIDE_MM, LARGEST_BESIDE_MM, 2).tolist())
         return x_mm, y_mm, 0.0
 
-    def _grasp(self) -> None:
-        """Hold the key in front of its lock, at the height of the start."""
+    def _grasp(self) -> list[PreflightFinding]:
+        """Hold the key in front of its lock, at the height of the start, and return what was measured of it there."""
         self._take_away()
         self._arm.fetch(beside_mm=self._beside_mm)
         self._station.thresholds_px = self._measure_noise()
         self._arm.go(self._in_front())
-        self._take_references(self._station.thresholds_px)
+        return self._take_references(self._station.thresholds_px)
 
     def _approach(self) -> float:
         self._arm.go(self._gripper_pose(self._start[0], self._start_mm), self._station.procedure.step_mm_s)

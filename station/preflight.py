@@ -123,5 +123,5 @@ def _measure_zero(station: OpenStation) -> Iterator[PreflightFinding]:
         value=f"{force_n:.2f} N and {torque_nm:.3f} N m",
         limit=f"at most {procedure.zero_n} N and {procedure.zero_nm} N m with nothing touched",
         is_good=force_n <= procedure.zero_n and torque_nm <= procedure.zero_nm,
-        remedy="Take the peg out and open the gripper: the sensor is zeroed when the station is opened again.",
+        remedy="Take out what is held and open the gripper: the sensor is zeroed when the station is opened again.",
     )

@@ -26,7 +26,7 @@ from .operators import Operator, OperatorDecision
 from .outcome import TrialOutcome
 from .perception.observation import NoMarkerFollowed, marker_flow, mean_by_region
 from .perception.segmentation import NothingAtPrompt, SamMissing
-from .preflight import PreflightRefused, check_held, check_ready, has_zero
+from .preflight import PreflightFinding, PreflightRefused, check_held, check_ready, has_zero
 from .video import VideoRecorder
 
 _STILL_PICTURES: Final = 30
@@ -166,13 +166,13 @@ class StationTrial:
         if operator.asks:
             ready = "The station is ready for the trial. Accepted, it begins to move."
             checklist = (f"The {self.part} is in its garage.", "The gels are clean.", "Nobody is in reach.")
-            self._ask(ready, checklist, measured=[f"{each.name}: {each.value}" for each in findings])
+            self._ask(ready, checklist, findings=findings)
         operator.wait_while_paused(f"The {self.part} is fetched, grasped and looked at.")
-        self._grasp()
-        while operator.asks and self._ask_about_grasp() is OperatorDecision.REGRASP:
+        findings = self._grasp()
+        while operator.asks and self._ask_about_grasp(findings) is OperatorDecision.REGRASP:
             began = monotonic()
             self._station.thresholds_px = None
-            self._grasp()
+            findings = self._grasp()
             operator.note_help(HelpKind.REGRASP, began)
         operator.wait_while_paused(f"The {self.part} goes to the start.")
         self._station.guard.forces_n.clear()
@@ -186,13 +186,14 @@ class StationTrial:
                 self._attempt.output, self._attempt.policy_s = policy.output, policy.cpu_s
 
     def _ask(
-        self, text: str, checklist: Sequence[str], *decisions: OperatorDecision, measured: Sequence[str] = ()
+        self, text: str, checklist: Sequence[str], *decisions: OperatorDecision, findings: Sequence[PreflightFinding]
     ) -> OperatorDecision:
         """Return what an operator decides.
 
         Raises:
             PreflightRefused: the operator refused, for the reason in the note.
         """
+        measured = [f"{each.name}: {each.value}" for each in findings]
         answer, note = self._operator.ask(
             text, (OperatorDecision.ACCEPT, *decisions, OperatorDecision.REFUSE), checklist, measured
         )
@@ -200,10 +201,10 @@ class StationTrial:
             raise PreflightRefused(f"An operator refused the trial: {note}")
         return answer
 
-    def _ask_about_grasp(self) -> OperatorDecision:
+    def _ask_about_grasp(self, findings: Sequence[PreflightFinding]) -> OperatorDecision:
         held = f"The {self.part} hangs in free air. Accepted, the policy begins."
         checklist = (f"The {self.part} stands straight between the gels.", "It touches nothing else.")
-        return self._ask(held, checklist, OperatorDecision.REGRASP)
+        return self._ask(held, checklist, OperatorDecision.REGRASP, findings=findings)
 
     def _summarize_forces(self) -> ContactForces | None:
         """Return what the force/torque sensor measured since the descent; None where no env step was played."""
@@ -243,8 +244,8 @@ class StationTrial:
         timeout_s = self._station.procedure.descent_timeout_s
         raise NotBlocked(f"At none of {len(tried)} starts of the list a gel felt the plate within {timeout_s} s.")
 
-    def _grasp(self) -> None:
-        """Hold the peg at the height beside the hole.
+    def _grasp(self) -> list[PreflightFinding]:
+        """Hold the peg at the height beside the hole, and return what was measured of it in free air.
 
         It is grasped again where it has moved between the gels, or where the zero of the force/torque sensor is off:
         that is set in the garage.
@@ -262,15 +263,16 @@ class StationTrial:
         else:
             check_held(station)
             raise NoPeg(f"The peg still moves between the gels after {_REGRASPS} grasps. Clean gels and peg.")
-        self._take_references(station.thresholds_px)
+        return self._take_references(station.thresholds_px)
 
-    def _take_references(self, thresholds_px: Pair) -> None:
+    def _take_references(self, thresholds_px: Pair) -> list[PreflightFinding]:
         """Look at what is held in free air: gels and forces are compared with that afterwards."""
         self._attempt.thresholds_px = thresholds_px
         self._station.eyes.start_again()
         self._arm.settle(_PAUSE_S)
-        check_held(self._station)
+        findings = check_held(self._station)
         self._free_wrench = self._wrench()
+        return findings
 
     def _go_beside(self) -> None:
         """Go over the start, first at the safe height where the stage is not near the hole."""

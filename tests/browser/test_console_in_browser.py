@@ -97,6 +97,7 @@ def test_two_operators_play_a_trial_help_it_stop_the_next_and_release_the_statio
     )
     assert refused["error"] == "This was decided already (accept). Look at the page as it is now."
     expect(page.locator("#text")).to_contain_text("The peg hangs in free air.", timeout=LIMIT_MS)
+    expect(page.locator("#measured")).to_contain_text("Zero of the force/torque sensor:")
     for camera in ("left", "right", "overview"):
         until(page, partial(page.locator(f"[data-camera={camera}] img").evaluate, "image => image.naturalWidth"))
     page.get_by_role("button", name="Grasp again").click()
