@@ -6,6 +6,7 @@ import signal
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from multiprocessing.connection import wait
 from typing import Final
 
 from .isolation.output import printable
@@ -195,7 +196,7 @@ class Exchange:
     def _wait_for_end(self) -> int | None:
         deadline = time.monotonic() + _END_GRACE_S
         while (end := self._end()) is None and time.monotonic() < deadline:
-            select.select([self._sandbox.status_descriptor], [], [], 0.01)
+            wait([self._sandbox.status_descriptor], 0.01)
         return end
 
 

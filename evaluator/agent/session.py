@@ -2,11 +2,11 @@
 
 import contextlib
 import os
-import select
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Final, Self
 
@@ -471,5 +471,5 @@ def _end_was_reported(sandbox: Sandbox, process: EpisodeProcess) -> bool:
     while sandbox.exit_status(process.inside_pid) is None:
         if time.monotonic() > deadline or sandbox.has_ended():
             return False
-        select.select([sandbox.status_descriptor], [], [], 0.05)
+        wait([sandbox.status_descriptor], 0.05)
     return True

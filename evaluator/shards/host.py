@@ -11,7 +11,6 @@ A sensor is calibrated in a copy of its own, which takes half a minute; meanwhil
 import gc
 import logging
 import os
-import select
 import selectors
 import signal
 import socket
@@ -20,6 +19,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache, partial
+from multiprocessing.connection import wait
 from pathlib import Path
 from typing import NoReturn
 
@@ -84,7 +84,7 @@ class SimulationHost:
         """Load every task of every track, as long as no order waits."""
         for track in list_tracks():
             for task in load_track(track).tasks:
-                if select.select([self._control], [], [], 0.0)[0]:
+                if wait([self._control], 0.0):
                     return
                 self._load_task(track, task)
 

@@ -1,7 +1,6 @@
 """Twins of all devices of a station, the file that describes them, and the process and serial lines that they use."""
 
 import os
-import select
 import tty
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -10,7 +9,7 @@ from dataclasses import dataclass
 from functools import cache
 from itertools import cycle
 from multiprocessing import get_context
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Thread
@@ -79,7 +78,7 @@ class Terminal:
 
     def _listen(self) -> None:
         while True:
-            ready, _, _ = select.select([self._controller, self._wake_read], [], [])
+            ready = wait([self._controller, self._wake_read])
             if self._wake_read in ready:
                 return
             answer = self._twin.receive(os.read(self._controller, 4096))

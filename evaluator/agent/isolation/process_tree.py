@@ -3,13 +3,13 @@
 import contextlib
 import fcntl
 import os
-import select
 import shutil
 import signal
 import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
+from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Final, Self
 
@@ -170,7 +170,7 @@ class ProcessIds:
             self._shell.stdin.write(b"%d\n" % inside_pid)
         except BrokenPipeError:
             return False
-        ready, _, _ = select.select([self._shell.stdout], [], [], _DEADLINE_S)
+        ready = wait([self._shell.stdout.fileno()], _DEADLINE_S)
         return bool(ready) and self._shell.stdout.readline() == b"set\n"
 
     def _started(self, program: str) -> "subprocess.Popen[bytes]":

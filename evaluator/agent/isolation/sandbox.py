@@ -3,7 +3,6 @@
 import contextlib
 import json
 import os
-import select
 import shutil
 import signal
 import socket
@@ -16,6 +15,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Final, Self
 
@@ -326,7 +326,7 @@ class Sandbox:
         deadline = time.monotonic() + _START_DEADLINE_S
         data = b""
         while b"}" not in data:
-            select.select([descriptor], [], [], max(0.0, deadline - time.monotonic()))
+            wait([descriptor], max(0.0, deadline - time.monotonic()))
             try:
                 piece = os.read(descriptor, 4096)
             except BlockingIOError:
@@ -342,7 +342,7 @@ class Sandbox:
         while self.exit_status(0) is None:
             if self.has_ended() or time.monotonic() > deadline:
                 raise self._start_failure()
-            select.select([self.status_descriptor], [], [], 0.1)
+            wait([self.status_descriptor], 0.1)
 
     def _start_failure(self) -> SandboxFailed:
         self._process.kill()
@@ -382,7 +382,7 @@ class Sandbox:
         while not self.output.is_closed:
             if time.monotonic() > deadline:
                 raise SandboxFailed("Processes of a sandbox survived its end; look for them and restart the worker.")
-            select.select([self.output], [], [], 0.1)
+            wait([self.output.fileno()], 0.1)
             self.output.read_available()
 
     def _watchdog_kills(self) -> int:

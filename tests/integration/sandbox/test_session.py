@@ -2,6 +2,7 @@
 
 import ctypes
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -639,8 +640,11 @@ def last_open():
 def test_numbers_of_descriptors_do_not_say_what_the_evaluator_has_open(make: Make) -> None:
     folder = make("return [last_open(), os.open('/dev/null', os.O_RDONLY), len(str(sys.orig_argv))]", OPEN_DESCRIPTORS)
     played = []
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     with ExitStack() as opened:
-        for count in (0, 200):
+        opened.callback(resource.setrlimit, resource.RLIMIT_NOFILE, (soft, hard))
+        resource.setrlimit(resource.RLIMIT_NOFILE, (4096, hard))
+        for count in (0, 1100):
             for _ in range(count):
                 opened.enter_context(Path(os.devnull).open())
             played.append(play_one(folder))
