@@ -107,7 +107,7 @@ class LinearStage:
             DeviceNotFound: there is none, or nothing answers at it.
         """
         self._lock, self._port, self._patience = Lock(), port, 1.0
-        self._line = _open_line(port)
+        self._line = _open_line(port, patience)
         self._await_start(patience)
 
     def __enter__(self) -> Self:
@@ -246,14 +246,14 @@ class LinearStage:
             raise DeviceFault(f"The line to the stage at {self._port} broke: {error}. Check its cable.") from error
 
 
-def _open_line(port: str) -> "Serial":
+def _open_line(port: str, patience: float) -> "Serial":
     """Open a port for this program alone; wait for the process that holds the stage of a killed one to end."""
     from serial import Serial, SerialException
 
     end = monotonic() + _ANSWER_S
     while True:
         try:
-            return Serial(port, _BAUD, timeout=0.02, write_timeout=_ANSWER_S, exclusive=True)
+            return Serial(port, _BAUD, timeout=0.02, write_timeout=_ANSWER_S * patience, exclusive=True)
         except (SerialException, OSError) as error:
             if error.errno != EWOULDBLOCK:
                 raise DeviceNotFound(f"No stage at {port}: {error}. Check its cable and `port` in the file.") from error
