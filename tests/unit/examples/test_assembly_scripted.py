@@ -1,21 +1,10 @@
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
-from example_policies import load
-from vitac.evaluator.submission.manifest import load_manifest
 
-
-@pytest.fixture(scope="module")
-def example(repository: Path) -> Path:
-    return repository / "examples" / "assembly_scripted" / "Assembly"
-
-
-@pytest.fixture(scope="module")
-def policy(example: Path) -> ModuleType:
-    return load(example / "policy.py")
+EXAMPLE = "assembly_scripted"
 
 
 def observation(motion: Any, width_mm: float = 29.7, x_px: float = 0.0) -> dict[str, Any]:
@@ -31,11 +20,6 @@ def observation(motion: Any, width_mm: float = 29.7, x_px: float = 0.0) -> dict[
         "relative_motion": np.array(motion, dtype=np.float64),
         "gripper_width": np.array([width_mm]),
     }
-
-
-def test_is_a_valid_submission(example: Path) -> None:
-    manifest = load_manifest(example)
-    assert (manifest.track, manifest.tasks, manifest.entry_point) == ("assembly", ("assembly",), "policy:Policy")
 
 
 def test_a_part_that_is_held_further_along_is_felt_further_along(policy: ModuleType) -> None:

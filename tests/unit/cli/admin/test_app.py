@@ -5,10 +5,9 @@ from typing import Any
 import pytest
 import structlog
 from cli_service import CliService, submission_folder
-from service_factories import claim, make_record, play_all, shard_ids, store
+from service_factories import claim, make_record, shard_ids, store
 from typer.testing import Result
 from vitac.cli.client.answers import RequestRefused
-from vitac.cli.client.verbs import ConsentMissing
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.server.database.models import Submission, Worker
 from vitac.server.database.states import WorkerState
@@ -38,12 +37,6 @@ def evaluation_of(service: CliService) -> str:
     return str(found[0]["id"])
 
 
-def play(service: CliService, submission_id: str) -> None:
-    with service.database.transaction() as session:
-        submission = session.get_one(Submission, submission_id)
-    play_all(service.database, submission)
-
-
 # ---- teams and tokens ----
 
 
@@ -59,19 +52,24 @@ def test_an_added_team_can_submit_with_the_printed_token(service: CliService, tm
     assert "Bears" in admin(service, "team", "list").stdout
 
 
-def test_a_taken_name_is_refused(service: CliService) -> None:
-    assert isinstance(admin(service, "team", "add", "TEAM  a").exception, RequestRefused)
+def test_what_is_taken_or_unknown_is_refused_and_a_token_is_for_a_team_or_for_organizers(service: CliService) -> None:
+    nothing = "00000000-0000-4000-8000-000000000000"
+    for words in (("team", "add", "TEAM  a"), ("team", "show", "nobody"), ("evaluation", "show", nothing)):
+        assert isinstance(admin(service, *words).exception, RequestRefused)
+    assert "vitac admin team list" in str(admin(service, "team", "show", "nobody").exception)
+    for arguments in ((), ("Team A", "--organizer")):
+        assert admin(service, "token", "add", *arguments).exit_code == 2
 
 
-def test_an_unknown_team_is_refused(service: CliService) -> None:
-    refused = admin(service, "team", "show", "nobody")
-    assert isinstance(refused.exception, RequestRefused)
-    assert "vitac admin team list" in str(refused.exception)
-
-
-def test_a_revoked_token_no_longer_works(service: CliService, tmp_path: Path) -> None:
-    added = json.loads(admin(service, "token", "add", "Team A", "--json").stdout)
+def test_an_organizers_token_sees_all_and_a_revoked_one_no_longer_works(
+    service: CliService, submission_id: str, tmp_path: Path
+) -> None:
     token = tmp_path / "token"
+    organizer = json.loads(admin(service, "token", "add", "--organizer", "--days", "1", "--json").stdout)
+    assert organizer["role"] == "organizer"
+    token.write_text(organizer["secret"])
+    assert submission_id in service.run("status", "--token-file", str(token)).stdout
+    added = json.loads(admin(service, "token", "add", "Team A", "--json").stdout)
     token.write_text(added["secret"])
     assert service.run("status", "--token-file", str(token)).exit_code == 0
     assert admin(service, "token", "revoke", added["id"], "--yes").exit_code == 0
@@ -79,19 +77,6 @@ def test_a_revoked_token_no_longer_works(service: CliService, tmp_path: Path) ->
     tokens = {row["id"]: row for row in read(service, "token", "list")}  # type: ignore[attr-defined]
     assert tokens[added["id"]]["revoked_at"] is not None
     assert added["secret"] not in admin(service, "token", "list").stdout
-
-
-def test_an_organizers_token_sees_all(service: CliService, submission_id: str, tmp_path: Path) -> None:
-    added = json.loads(admin(service, "token", "add", "--organizer", "--days", "1", "--json").stdout)
-    assert added["role"] == "organizer"
-    token = tmp_path / "token"
-    token.write_text(added["secret"])
-    assert submission_id in service.run("status", "--token-file", str(token)).stdout
-
-
-@pytest.mark.parametrize("arguments", [[], ["Team A", "--organizer"]])
-def test_a_token_is_for_a_team_or_for_organizers(service: CliService, arguments: list[str]) -> None:
-    assert admin(service, "token", "add", *arguments).exit_code == 2
 
 
 def test_a_dry_run_shows_no_secret_that_is_not_kept(service: CliService) -> None:
@@ -106,8 +91,18 @@ def test_a_dry_run_shows_no_secret_that_is_not_kept(service: CliService) -> None
     assert "Bears" not in admin(service, "team", "list").stdout
 
 
-def test_the_data_of_a_team_is_counted_or_printed_whole(service: CliService, submission_id: str) -> None:
-    found = read(service, "team", "data", "Team A")
+# ---- submissions and evaluations ----
+
+
+def test_lists_submissions_by_team_and_state_and_counts_or_prints_the_data_of_a_team(
+    service: CliService, submission_id: str
+) -> None:
+    assert submission_id in admin(service, "submission", "list", "--team", "Team A", "--state", "queued").stdout
+    assert "No such submission." in admin(service, "submission", "list", "--state", "completed").stdout
+    assert admin(service, "submission", "list", "--state", "asleep").exit_code == 2
+    listed, found = read(service, "submission", "list"), read(service, "team", "data", "Team A")
+    assert isinstance(listed, dict)
+    assert [item["id"] for item in listed["items"]] == [submission_id]
     assert isinstance(found, dict)
     assert [submission["id"] for submission in found["submissions"]] == [submission_id]
     counted = dict(line.rsplit(None, 1) for line in admin(service, "team", "data", "Team A").stdout.splitlines()[1:-2])
@@ -115,36 +110,14 @@ def test_the_data_of_a_team_is_counted_or_printed_whole(service: CliService, sub
     assert submission_id not in str(counted)
 
 
-# ---- submissions and evaluations ----
-
-
-def test_lists_submissions_by_team_and_state(service: CliService, submission_id: str) -> None:
-    assert submission_id in admin(service, "submission", "list", "--team", "Team A", "--state", "queued").stdout
-    assert "No such submission." in admin(service, "submission", "list", "--state", "completed").stdout
-    assert admin(service, "submission", "list", "--state", "asleep").exit_code == 2
-    listed = read(service, "submission", "list")
-    assert isinstance(listed, dict)
-    assert [item["id"] for item in listed["items"]] == [submission_id]
-
-
-def test_nothing_is_changed_without_consent(service: CliService, submission_id: str) -> None:
-    refused = admin(service, "submission", "cancel", submission_id)
-    assert isinstance(refused.exception, ConsentMissing)
-    assert "queued" in admin(service, "submission", "show", submission_id).stdout
-
-
-def test_shows_an_evaluation_with_its_shards(service: CliService, submission_id: str) -> None:
-    shown = read(service, "evaluation", "show", evaluation_of(service))
-    assert isinstance(shown, dict)
-    assert shown["submission_id"] == submission_id
-    assert len(shown["shards"]) == 10
-    assert "1..27" in admin(service, "evaluation", "show", evaluation_of(service)).stdout
-
-
-def test_episodes_that_differ_from_the_stored_ones_are_shown_as_an_alarm(
+def test_an_evaluation_is_shown_with_its_shards_and_an_alarm_for_episodes_that_differ_from_the_stored_ones(
     service: CliService, submission_id: str
 ) -> None:
-    assert "ALARM" not in admin(service, "evaluation", "show", evaluation_of(service)).stdout
+    found = read(service, "evaluation", "show", evaluation_of(service))
+    assert isinstance(found, dict)
+    assert (found["submission_id"], len(found["shards"])) == (submission_id, 10)
+    shown = admin(service, "evaluation", "show", evaluation_of(service)).stdout
+    assert ("1..27" in shown, "ALARM" in shown) == (True, False)
     with service.database.transaction() as session:
         first = shard_ids(session, session.get_one(Submission, submission_id))[0]
     store(service.database, claim(service.database, first), [make_record(1), make_record(1, EpisodeOutcome.STEPS)])
@@ -170,11 +143,6 @@ def test_requeues_and_cancels_by_evaluation(service: CliService, submission_id: 
     refused = admin(service, "evaluation", "cancel", first, "--yes")
     assert isinstance(refused.exception, RequestRefused)
     assert "a newer run" in str(refused.exception)
-
-
-def test_an_unknown_evaluation_is_refused(service: CliService) -> None:
-    refused = admin(service, "evaluation", "show", "00000000-0000-4000-8000-000000000000")
-    assert isinstance(refused.exception, RequestRefused)
 
 
 def test_events_are_logged_beside_the_output(service: CliService, capsys: pytest.CaptureFixture[str]) -> None:

@@ -121,27 +121,40 @@ elsewhere (tests/unit/server/decisions/test_edition_2026.py), or a copy
 
 MAKES_SOMETHING = {"team add", "team import", "team message", "team invite"}
 """Verbs whose line has nothing before."""
+ONLY_READ = {
+    *("check", "copies", "data", "digests", "key", "list", "lists", "propose", "rubric", "show", "trials", "unserved"),
+    *("winners", "witnesses"),
+}
+WRITE_A_FILE = {"receipt export", "results publish", "submission download"}
+"""A new one; in the service nothing changes."""
 WITHOUT_DRY_RUN = {"backup"}
 """It writes a file, and of the service only the line in the audit log that says so."""
 
 
-def commands(group: TyperGroup, path: str = "") -> Iterator[tuple[str, TyperCommand]]:
+def commands(group: TyperGroup, path: str = "") -> Iterator[tuple[str, TyperCommand, str]]:
+    """Yield the words of each command, the command, and the help of its noun."""
     for name, command in group.commands.items():
         if isinstance(command, TyperGroup):
             yield from commands(command, f"{path}{name} ")
         else:
             assert isinstance(command, TyperCommand)
-            yield f"{path}{name}", command
+            yield f"{path}{name}", command, group.help or ""
 
 
-def test_every_command_that_changes_something_is_tried() -> None:
+def test_every_command_that_changes_something_is_tried_and_each_has_the_options_of_its_kind() -> None:
     group = typer.main.get_command(app)
     assert isinstance(group, TyperGroup)
-    options = {name: {text for given in command.params for text in given.opts} for name, command in commands(group)}
-    changes = {name for name, given in options.items() if "--dry-run" in given}
+    changes = set()
+    for name, command, of_noun in commands(group):
+        options = {text for given in command.params for text in given.opts}
+        verb = name.split()[-1]
+        assert "--json" in options, name
+        is_change = verb not in ONLY_READ and name not in WRITE_A_FILE | WITHOUT_DRY_RUN
+        assert ("--dry-run" in options, "--yes" in options) == (is_change, is_change), f"{name}: scripts give both"
+        changes |= {name} if is_change else set()
+        assert (command.help or "").rstrip().endswith("."), f"{name} says what it does"
+        assert " " not in name or verb in of_noun, f"the help of the noun lists {name}"
     assert changes | WITHOUT_DRY_RUN == set(CHANGES) | TRIED_ELSEWHERE
-    asking = {name for name, given in options.items() if "--yes" in given}
-    assert set(CHANGES) - asking == WITHOUT_DRY_RUN, "scripts give it to every change"
 
 
 def there_is(service: CliService, name: str, tmp_path: Path) -> str:

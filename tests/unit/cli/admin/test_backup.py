@@ -32,16 +32,10 @@ def test_backup_is_restored_into_an_empty_service(service: CliService, tmp_path:
         assert "Team A" in service.run("admin", "team", "list").stdout
 
 
-def test_restore_asks_first(service: CliService, tmp_path: Path) -> None:
-    file = tmp_path / "backup.tar"
-    file.touch()
-    done = service.run("admin", "restore", str(file))
-    assert "repeat with --yes" in str(done.exception)
-
-
-def test_restore_over_data_is_refused(service: CliService, tmp_path: Path) -> None:
+def test_restore_asks_first_and_is_refused_over_data(service: CliService, tmp_path: Path) -> None:
     file = tmp_path / "backup.tar"
     service.run("admin", "backup", str(file))
+    assert "repeat with --yes" in str(service.run("admin", "restore", str(file)).exception)
     for option in ("--dry-run", "--yes"):
         done = service.run("admin", "restore", str(file), option)
         assert isinstance(done.exception, ServiceNotEmpty)

@@ -1,6 +1,5 @@
 import json
 import re
-import stat
 from pathlib import Path
 
 from cli_service import CliService, cli_service, submission_folder
@@ -31,21 +30,16 @@ def test_from_no_token_to_a_submission_with_two_commands(service: CliService, tm
     assert "Newcomers" in run(service, "register", "Newcomers", "--contact", "a@example.org")
     submitted = json.loads(run(service, "submit", str(folder), "--json"))
     assert submitted["team"]["name"] == "Newcomers"
-    assert "Newcomers" in run(service, "whoami")
-
-
-def test_the_token_is_kept_where_only_the_user_reads_it(service: CliService) -> None:
-    run(service, "register", "Newcomers")
-    assert stat.S_IMODE(kept(service).stat().st_mode) == 0o600
-    assert [path.name for path in kept(service).parent.iterdir()] == ["credentials.json"]
-
-
-def test_a_second_registration_does_not_overwrite_a_kept_token(service: CliService) -> None:
-    run(service, "register", "Newcomers")
     before = kept(service).read_text()
     refused = service.run_with_input("", "register", "Others", token=None)
     assert isinstance(refused.exception, LoggedIn)
     assert kept(service).read_text() == before
+    assert json.loads(service.run("whoami", "--json").stdout)["team"]["name"] == "Team A", "the environment wins"
+    with cli_service(tmp_path / "other") as other:
+        other.environment["XDG_CONFIG_HOME"] = service.environment["XDG_CONFIG_HOME"]
+        assert "missing_credentials" in str(other.run_with_input("", "whoami", token=None).exception)
+    service.environment["VITAC_SERVER"] = ""  # that of the last login is meant
+    assert "Newcomers" in run(service, "whoami")
 
 
 def test_login_keeps_a_good_token_and_logout_forgets_it(service: CliService) -> None:
@@ -58,12 +52,17 @@ def test_login_keeps_a_good_token_and_logout_forgets_it(service: CliService) -> 
     assert "as Team A" in run(service, "login", given=f"{token}\n")
 
 
-def test_login_keeps_nothing_of_a_wrong_token(service: CliService, tmp_path: Path) -> None:
+def test_login_keeps_nothing_of_a_wrong_token_and_a_broken_file_of_tokens_is_named(
+    service: CliService, tmp_path: Path
+) -> None:
     wrong = tmp_path / "token"
     wrong.write_text("vitac_" + "x" * 43)
     refused = service.run_with_input("", "login", "--token-file", str(wrong), token=None)
     assert isinstance(refused.exception, RequestRefused)
     assert not kept(service).exists()
+    kept(service).parent.mkdir(parents=True, exist_ok=True)
+    kept(service).write_text("[]")
+    assert str(kept(service)) in str(service.run_with_input("", "whoami", token=None).exception)
 
 
 def test_logout_can_end_the_token_for_good(service: CliService) -> None:
@@ -74,37 +73,19 @@ def test_logout_can_end_the_token_for_good(service: CliService) -> None:
     assert "revoked" in str(refused.exception)
 
 
-def test_a_token_in_the_environment_wins_over_the_kept_one(service: CliService) -> None:
-    run(service, "register", "Newcomers")
-    assert json.loads(service.run("whoami", "--json").stdout)["team"]["name"] == "Team A"
-
-
-def test_a_kept_token_is_for_its_service_only(service: CliService, tmp_path: Path) -> None:
-    run(service, "register", "Newcomers")
-    with cli_service(tmp_path / "other") as other:
-        other.environment["XDG_CONFIG_HOME"] = service.environment["XDG_CONFIG_HOME"]
-        refused = other.run_with_input("", "whoami", token=None)
-    assert "missing_credentials" in str(refused.exception)
-
-
-def test_the_service_of_the_last_login_is_meant_where_none_is_named(service: CliService) -> None:
-    run(service, "register", "Newcomers")
-    service.environment["VITAC_SERVER"] = ""
-    assert "Newcomers" in run(service, "whoami")
-
-
-def test_a_broken_file_of_tokens_is_named(service: CliService) -> None:
-    kept(service).parent.mkdir(parents=True)
-    for content in ("", "[]", '{"tokens": 3}', '{"server": null, "tokens": 3}'):
-        kept(service).write_text(content)
-        refused = service.run_with_input("", "whoami", token=None)
-        assert str(kept(service)) in str(refused.exception)
-
-
-def test_whoami_shows_quotas(service: CliService) -> None:
+def test_whoami_shows_quotas_also_of_an_open_stage(service: CliService) -> None:
     shown = service.run("whoami").stdout
     for word in ("Team A", "tokens", "20", "attempts_per_day"):
         assert word in shown
+    assert "stage1" not in shown
+    content = make_competition()
+    content["tracks"][TRACK]["stages"][0]["quotas"] = {"attempts": 7}
+    with service.database.transaction() as session:
+        put_in_place(session, open_now(content))
+    shown = service.run("whoami").stdout
+    assert re.search(r"track_1 +stage1 +attempts +7 +0 ", shown), shown
+    (of_runs, _) = json.loads(service.run("whoami", "--json").stdout)["stage_quotas"]
+    assert (of_runs["quota"], of_runs["limit"], of_runs["used"]) == ("scored_runs", None, 0)
 
 
 def test_registration_by_invite_needs_the_code(tmp_path: Path) -> None:
@@ -114,15 +95,3 @@ def test_registration_by_invite_needs_the_code(tmp_path: Path) -> None:
             assert "invite_required" in str(refused.exception)
             assert "--invite" in str(refused.exception)
         assert "Newcomers" in run(service, "register", "Newcomers", "--invite", INVITE)
-
-
-def test_the_quotas_of_an_open_stage_are_shown(service: CliService) -> None:
-    assert "stage1" not in service.run("whoami").stdout
-    content = make_competition()
-    content["tracks"][TRACK]["stages"][0]["quotas"] = {"attempts": 7}
-    with service.database.transaction() as session:
-        put_in_place(session, open_now(content))
-    shown = service.run("whoami").stdout
-    assert re.search(r"track_1 +stage1 +attempts +7 +0 ", shown), shown
-    (of_runs, _) = json.loads(service.run("whoami", "--json").stdout)["stage_quotas"]
-    assert (of_runs["quota"], of_runs["limit"], of_runs["used"]) == ("scored_runs", None, 0)

@@ -30,18 +30,16 @@ def some_fail(episode: int, *, task: str) -> EpisodeRecord:
     return make_record(episode, EpisodeOutcome.TACTILE if episode % 3 == 0 else EpisodeOutcome.SUCCESS, task)
 
 
-def test_lists_the_newest_or_says_how_to_begin(service: CliService, tmp_path: Path) -> None:
-    assert "vitac submit FOLDER" in service.run("status").stdout
+def test_lists_the_newest_or_says_how_to_begin_and_watches_it_without_an_id(
+    service: CliService, tmp_path: Path
+) -> None:
+    for words in ((), ("--watch",)):
+        assert "vitac submit FOLDER" in service.run("status", *words).stdout
     submission_id = submitted(service, tmp_path)
     table = service.run("status").stdout
     for shown in (submission_id, "zero", "Team A", "queued", "0/270"):
         assert shown in table
     assert [item["id"] for item in json.loads(service.run("status", "--json").stdout)] == [submission_id]
-
-
-def test_without_an_id_the_newest_is_watched(service: CliService, tmp_path: Path) -> None:
-    assert "vitac submit FOLDER" in service.run("status", "--watch").stdout
-    submission_id = submitted(service, tmp_path)
     play(service, submission_id)
     assert json.loads(service.run("status", "--watch", "--json").stdout)["id"] == submission_id
 

@@ -18,45 +18,40 @@ from vitac.server.database.models import PartialUpload
 from competitions import make_competition, open_now, put_in_place
 
 
-def test_submits_a_folder_and_prints_id_and_page(service: CliService, tmp_path: Path) -> None:
-    done = service.run("submit", str(submission_folder(tmp_path / "mine")))
-    assert done.exit_code == 0, done.output
-    submission_id = done.stdout.split()[1]
-    assert f"{service.address}/submissions/{submission_id}" in done.stdout
-    assert "number 1 in the queue" in done.stdout
-    assert "tasks       peg-insertion\nnot played  lock-opening (counts as 0 %" in done.stdout
-
-
-def test_watch_stays_until_the_evaluation_has_ended(service: CliService, tmp_path: Path) -> None:
-    folder = submission_folder(tmp_path / "mine")
-    first = json.loads(service.run("submit", str(folder), "--json").stdout)
-    service.run("admin", "submission", "cancel", first["id"], "--yes")
-    with service.playing():
-        done = service.run("submit", str(folder), "--watch")
-    assert done.exit_code == 0, done.output
-    assert "completed" in done.stdout
-    assert "result hash" in done.stdout
-
-
-def test_content_that_was_evaluated_before_does_not_look_new(service: CliService, tmp_path: Path) -> None:
-    folder = submission_folder(tmp_path / "mine")
-    first = service.run("submit", str(folder))
-    assert "again" not in first.stdout
-    waiting = service.run("submit", str(folder)).stdout
+def test_submits_a_folder_watches_to_the_end_and_says_of_the_same_content_that_it_is_not_new(
+    service: CliService, tmp_path: Path
+) -> None:
+    folder = str(submission_folder(tmp_path / "mine"))
+    first = service.run("submit", folder).stdout
+    submission_id = first.split()[1]
+    for shown in (f"{service.address}/submissions/{submission_id}", "number 1 in the queue"):
+        assert shown in first
+    assert "tasks       peg-insertion\nnot played  lock-opening (counts as 0 %" in first
+    assert "again" not in first
+    waiting = service.run("submit", folder).stdout
     assert "again       you submitted this content on 20" in waiting
     assert "it is evaluated already, and nothing else was started" in waiting
+    service.run("admin", "submission", "cancel", submission_id, "--yes")
     with service.playing():
-        service.run("submit", str(folder), "--watch")
-    assert "; nothing was started (--again runs it)" in service.run("submit", str(folder)).stdout
+        done = service.run("submit", folder, "--watch")
+    assert done.exit_code == 0, done.output
+    for shown in ("completed", "result hash"):
+        assert shown in done.stdout
+    assert "; nothing was started (--again runs it)" in service.run("submit", folder).stdout
 
 
-def test_an_organizer_submits_for_a_team(service: CliService, tmp_path: Path) -> None:
+def test_the_team_that_an_organizer_names_and_the_name_of_the_folder_are_sent_along(
+    service: CliService, tmp_path: Path
+) -> None:
     token = tmp_path / "token"
     added = json.loads(service.run("admin", "token", "add", "--organizer", "--json").stdout)
     token.write_text(added["secret"])
-    options = [str(submission_folder(tmp_path / "mine")), "--token-file", str(token), "--json"]
-    assert "team_required" in str(service.run("submit", *options).exception)
-    assert json.loads(service.run("submit", *options, "--team", "team a").stdout)["team"]["name"] == "Team A"
+    folder = submission_folder(tmp_path / "Ants-Track_1-stage1-result")
+    assert "file_name_mismatch" in str(service.run("submit", str(folder)).exception)
+    mine = str(folder.rename(tmp_path / "Team_A-Track_1-stage1-result"))
+    assert "team_required" in str(service.run("submit", mine, "--token-file", str(token)).exception)
+    made = service.run("submit", mine, "--token-file", str(token), "--json", "--team", "team a")
+    assert json.loads(made.stdout)["team"]["name"] == "Team A"
 
 
 def test_what_is_refused_says_why_and_what_to_do(
@@ -90,26 +85,34 @@ def test_every_command_explains_itself(service: CliService) -> None:
         assert "Usage" in done.stdout
 
 
-def test_submits_a_log_and_shows_its_verdict(service: CliService, tmp_path: Path) -> None:
-    log = tmp_path / "mine.jsonl.gz"
-    log.write_bytes(packed(a_log([record_of(episode, task=TASK) for episode in EPISODES])))
+@pytest.mark.parametrize(
+    ("name", "content", "shown"),
+    [
+        (
+            "mine.jsonl.gz",
+            packed(a_log([record_of(episode, task=TASK) for episode in EPISODES])),
+            ("actions verified, policy not seen", "verified: all states are equal", "66.7 %, 180 of 270"),
+        ),
+        (
+            "mine.log",
+            a_text_log(),
+            ("2025 text log", "4.8 %, 13 of 270", "66.7 %", "problems", "differ systematically"),
+        ),
+    ],
+)
+def test_submits_a_log_and_shows_its_verdict_or_both_rates(
+    service: CliService, tmp_path: Path, name: str, content: bytes, shown: tuple[str, ...]
+) -> None:
+    (tmp_path / name).write_bytes(content)
     with service.playing():
-        done = service.run("submit", str(log), "--watch")
+        done = service.run("submit", str(tmp_path / name), "--watch")
     assert done.exit_code == 0, done.output
-    for shown in ("actions verified, policy not seen", "verified: all states are equal", "66.7 %, 180 of 270"):
-        assert shown in done.stdout
-    listed = json.loads(service.run("status", "--json").stdout)
-    assert [(item["kind"], item["log"]["verdict"]) for item in listed] == [("log", "verified")]
-
-
-def test_submits_a_text_log_and_shows_both_rates(service: CliService, tmp_path: Path) -> None:
-    log = tmp_path / "mine.log"
-    log.write_bytes(a_text_log())
-    with service.playing():
-        done = service.run("submit", str(log), "--watch")
-    assert done.exit_code == 0, done.output
-    for shown in ("2025 text log", "4.8 %, 13 of 270", "66.7 %", "problems", "differ systematically"):
-        assert shown in done.stdout
+    for text in shown:
+        assert text in done.stdout
+    (item,) = json.loads(service.run("status", "--json").stdout)
+    assert (item["kind"], item["log"]["verdict"]) == (
+        ("log", "verified") if name.endswith("gz") else ("text_log", None)
+    )
 
 
 def test_the_service_finds_the_track_of_a_text_log(service: CliService, tmp_path: Path) -> None:
@@ -135,15 +138,6 @@ def test_the_service_finds_the_track_of_a_text_log(service: CliService, tmp_path
 )  # fmt: skip
 def test_a_file_is_told_by_its_name(tmp_path: Path, name: str, kind: str) -> None:
     assert find_kind(tmp_path / name) == kind
-
-
-def test_the_name_of_the_folder_is_sent_along(service: CliService, tmp_path: Path) -> None:
-    folder = submission_folder(tmp_path / "Ants-Track_1-stage1-result")
-    refused = service.run("submit", str(folder))
-    assert isinstance(refused.exception, RequestRefused)
-    assert "file_name_mismatch" in str(refused.exception)
-    mine = folder.rename(tmp_path / "Team_A-Track_1-stage1-result")
-    assert service.run("submit", str(mine)).exit_code == 0
 
 
 def test_a_submission_says_its_competition_where_two_take_it(service: CliService, tmp_path: Path) -> None:

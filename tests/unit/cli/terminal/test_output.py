@@ -1,9 +1,13 @@
 import json
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta, timezone
+from pathlib import Path
 from uuid import UUID
 
 import pytest
+import typer
 from vitac.cli.terminal import output
+from vitac.cli.terminal.output import existing, existing_file, note_ignored_folders, print_meanings
 
 
 def test_columns_are_as_wide_as_their_widest_cell_and_numbers_go_right(capsys: pytest.CaptureFixture[str]) -> None:
@@ -83,3 +87,53 @@ def test_a_column_of_numbers_and_gaps_goes_right_and_one_with_a_word_left(capsys
 )
 def test_fractions_are_percentages_with_one_decimal(fraction: float | None, text: str | None) -> None:
     assert output.percent(fraction) == text
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name in ("run.jsonl", "other.jsonl"):
+        (tmp_path / name).touch()
+    return tmp_path
+
+
+@pytest.mark.parametrize("check", [existing, existing_file])
+def test_wrong_file_name_lists_the_files_that_are_there(folder: Path, check: Callable[[Path], object]) -> None:
+    with pytest.raises(typer.BadParameter) as caught:
+        check(folder / "rnu.jsonl")
+    assert f"rnu.jsonl does not exist; folder {folder} holds 'other.jsonl', 'run.jsonl'." in str(caught.value)
+
+
+def test_folder_in_place_of_a_file_lists_its_files(folder: Path) -> None:
+    with pytest.raises(typer.BadParameter, match=r"expected a file; folder .* holds 'other\.jsonl', 'run\.jsonl'\."):
+        existing_file(folder)
+
+
+def test_what_is_there_is_accepted(folder: Path) -> None:
+    assert existing(folder) == folder
+    assert existing_file(folder / "run.jsonl") == folder / "run.jsonl"
+    assert existing_file(None) is None
+
+
+def test_the_folder_of_another_track_beside_the_submission_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for top in ("Track_1", "Track_2"):
+        note_ignored_folders(tmp_path)
+        assert capsys.readouterr().err == ""
+        (tmp_path / top).mkdir()
+        (tmp_path / top / "submission.yaml").touch()
+    note_ignored_folders(tmp_path)
+    taken = tmp_path / "Track_1"
+    assert capsys.readouterr().err == (
+        f"vitac: takes {taken}; Track_2 beside it is ignored: name that folder to take it\n"
+    )
+    note_ignored_folders(taken)
+    assert capsys.readouterr().err == ""
+
+
+def test_each_word_is_explained_once_in_the_order_of_its_first_use(capsys: pytest.CaptureFixture[str]) -> None:
+    print_meanings(["tactile", "success", "tactile"])
+    assert capsys.readouterr().out.splitlines() == [
+        "tactile: The gel surface of a sensor moved too far.",
+        "success: The task was solved.",
+    ]

@@ -8,18 +8,12 @@ import gymnasium
 import numpy as np
 import pytest
 import vitac.envs
-from fake_scene import FakeScene
 from vitac.envs.tasks.definition import EndReason
 from vitac.envs.tasks.making import EqualInfoShapes, NumericInfos, UnexpectedArgument, make
 from vitac.envs.tasks.registry import task_definitions
 
 PEG, LOCK = "ViTac/PegInsertion-v1", "ViTac/LockOpening-v1"
 CORNERS = {"cuboid": 4, "trapezoid": 4, "concave1": 8}
-
-
-@pytest.fixture(autouse=True)
-def physics(fake_scenes: list[FakeScene]) -> list[FakeScene]:
-    return fake_scenes
 
 
 def infos(env: Any, options: Mapping[str, Any]) -> list[dict[str, Any]]:

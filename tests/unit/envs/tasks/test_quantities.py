@@ -26,11 +26,6 @@ ENV_TYPES = [PegInsertionEnv, LockOpeningEnv, FusionInsertionEnv]
 DRAWS = {"gel_modulus_kpa": (200.0, 400.0), "marker_noise_px": (1.0, 2.0)}
 
 
-@pytest.fixture(autouse=True)
-def physics(fake_scenes: list[FakeScene]) -> list[FakeScene]:
-    return fake_scenes
-
-
 def drawn(env: Any, number: int) -> dict[str, float]:
     _, info = env.reset(options={"rng_seed": (3, number)})
     return dict(info["draws"])

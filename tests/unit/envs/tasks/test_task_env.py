@@ -40,11 +40,6 @@ class TopCamera:
         return np.full((1, 1, 3), round(top_m * 1e3))
 
 
-@pytest.fixture(autouse=True)
-def physics(fake_scenes: list[FakeScene]) -> list[FakeScene]:
-    return fake_scenes
-
-
 def test_a_camera_is_added_without_touching_the_task() -> None:
     camera = TopCamera()
     env = PegInsertionEnv(observables=camera.observables)

@@ -1,6 +1,9 @@
 import hashlib
 import json
+import re
+from collections.abc import Sequence
 from dataclasses import fields, replace
+from math import inf, nan
 from pathlib import Path
 from typing import Any
 
@@ -219,44 +222,55 @@ def test_every_packaged_track_is_valid() -> None:
     assert [load_track(name).name for name in list_tracks()] == list(list_tracks())
 
 
-def test_digest_changes_with_the_list(content: dict[str, object]) -> None:
-    content["tasks"]["peg-insertion"]["episode_list"]["list_seed"] = 7  # type: ignore[index]
+@pytest.mark.parametrize(("key", "value"), [("player", "blind"), ("force_limit_n", 20), ("list_seed", 7)])
+def test_digest_changes_with_the_list_the_player_and_the_limit_of_force(
+    content: dict[str, Any], key: str, value: object
+) -> None:
+    task = content["tasks"]["peg-insertion"]
+    (task["episode_list"] if key == "list_seed" else task)[key] = value
     changed = parse(content).tasks["peg-insertion"]
     assert changed.digest() != load_track("track_1").tasks["peg-insertion"].digest()
 
 
+TASK = ("tasks", "peg-insertion")
+BLOCK = (*TASK, "episode_list", "blocks", 0)
+
+
 @pytest.mark.parametrize(
-    ("place", "key", "nearest"),
+    ("place", "value", "message"),
     [
-        ((), "rankings", "ranking"),
-        (("tasks", "peg-insertion"), "shardsize", "shard_size"),
-        (("tasks", "peg-insertion", "episode_list"), "block", "blocks"),
-        (("tasks", "peg-insertion", "episode_list", "blocks", 0), "repeat", "repeats"),
+        (("rankings",), 1, "track_1.yaml: Unknown key 'rankings'; did you mean 'ranking'"),
+        ((*TASK, "shardsize"), 1, "Unknown key 'tasks.peg-insertion.shardsize'; did you mean 'shard_size'"),
+        ((*TASK, "episode_list", "block"), 1, "'tasks.peg-insertion.episode_list.block'; did you mean 'blocks'"),
+        ((*BLOCK, "repeat"), 1, "'tasks.peg-insertion.episode_list.blocks.0.repeat'; did you mean 'repeats'"),
+        *(((*BLOCK, "starts", 3, "offset", 1), x, "blocks.0.starts.3.offset.1") for x in (nan, inf, "many", None)),
+        ((*BLOCK, "starts", 3, "offset"), [0, 0], "expected offsets of one length, got 2 and 3 numbers"),
+        ((*TASK, "name"), "peg", "tasks.peg-insertion.name is 'peg'"),
+        (
+            (*TASK, "env_id"), "ViTac/Peg-v1",
+            "'ViTac/Peg-v1', expected one of ViTac/Assembly-v1, ViTac/CableEnd-v1, ViTac/Explore-v1",
+        ),
+        (("combined_tasks",), ["peg"], "combined_tasks has 'peg'; the tasks are lock-opening, peg-insertion"),
+        (
+            (*TASK, "draws"), {"clearence_mm": [0.5, 2]},
+            "no quantity 'clearence_mm' to draw; did you mean 'clearance_mm'?",
+        ),
+        (
+            (*TASK, "draws"), {"clearance_mm": [2, 0.5]},
+            "Draw 'clearance_mm' is [2.0, 0.5], expected two numbers from 0.1 to 3 mm, rising.",
+        ),
+        ((*TASK, "draws"), {"clearance_mm": [0.5, 9]}, "expected two numbers from 0.1 to 3 mm, rising."),
     ],
-)
-def test_unknown_key_names_the_nearest(
-    content: dict[str, object], place: tuple[str | int, ...], key: str, nearest: str
+)  # fmt: skip
+def test_what_a_track_file_cannot_say_is_refused_by_name(
+    content: dict[str, Any], place: Sequence[str | int], value: object, message: str
 ) -> None:
-    target = content
-    for part in place:
-        target = target[part]  # type: ignore[index,assignment]
-    target[key] = 1
-    dotted = ".".join(map(str, (*place, key)))
-    with pytest.raises(DocumentRejected, match=f"track_1.yaml: Unknown key '{dotted}'; did you mean '{nearest}'"):
-        parse(content)
-
-
-@pytest.mark.parametrize("value", [float("nan"), float("inf"), "many", None])
-def test_offsets_must_be_finite_numbers(content: dict[str, object], value: object) -> None:
-    content["tasks"]["peg-insertion"]["episode_list"]["blocks"][0]["starts"][3]["offset"][1] = value  # type: ignore[index]
-    with pytest.raises(DocumentRejected, match=r"blocks\.0\.starts\.3\.offset\.1"):
-        parse(content)
-
-
-def test_all_offsets_have_one_length(content: dict[str, object]) -> None:
-    starts = content["tasks"]["peg-insertion"]["episode_list"]["blocks"][0]["starts"]  # type: ignore[index]
-    starts[3]["offset"] = [0, 0]
-    with pytest.raises(DocumentRejected, match="expected offsets of one length, got 2 and 3 numbers"):
+    *way, last = place
+    target: Any = content
+    for part in way:
+        target = target[part]
+    target[last] = value
+    with pytest.raises(DocumentRejected, match=re.escape(message)):
         parse(content)
 
 
@@ -268,21 +282,6 @@ def test_several_tasks_need_a_combination_rule_and_one_has_none(content: dict[st
     assert parse(content).combination_rule is None
     with pytest.raises(DocumentRejected, match="and only there"):
         parse(content | {"combination_rule": rule})
-
-
-def test_task_must_carry_the_name_of_its_key(content: dict[str, object]) -> None:
-    content["tasks"]["peg-insertion"]["name"] = "peg"  # type: ignore[index]
-    with pytest.raises(DocumentRejected, match=r"tasks\.peg-insertion\.name is 'peg'"):
-        parse(content)
-
-
-def test_unknown_environment_names_those_that_there_are(content: dict[str, object]) -> None:
-    content["tasks"]["peg-insertion"]["env_id"] = "ViTac/Peg-v1"  # type: ignore[index]
-    with pytest.raises(
-        DocumentRejected,
-        match=r"'ViTac/Peg-v1', expected one of ViTac/Assembly-v1, ViTac/CableEnd-v1, ViTac/Explore-v1",
-    ):
-        parse(content)
 
 
 @pytest.fixture
@@ -381,11 +380,6 @@ def test_all_tasks_count_where_none_are_named() -> None:
     assert load_track("track_1").tasks_that_count == ("peg-insertion", "lock-opening")
 
 
-def test_combined_task_must_be_there(content: dict[str, object]) -> None:
-    with pytest.raises(DocumentRejected, match="combined_tasks has 'peg'; the tasks are lock-opening, peg-insertion"):
-        parse(content | {"combined_tasks": ["peg"]})
-
-
 def test_no_board_mixes_physics_on_a_cpu_and_on_a_gpu() -> None:
     content = yaml.safe_load(FILE) | {"combination_rule": "Mean."}
     on_cpu = content["tasks"]["pick-cube"]
@@ -444,14 +438,6 @@ def test_profiles_are_no_part_of_the_digest(content: dict[str, object]) -> None:
     assert changed.profiles["other"].settings == {"z_step_mm": 0.1}
 
 
-def test_player_is_part_of_the_digest(content: dict[str, object]) -> None:
-    before = parse(content).tasks["peg-insertion"].digest()
-    tasks = content["tasks"]
-    assert isinstance(tasks, dict)
-    tasks["peg-insertion"]["player"] = "blind"
-    assert parse(content).tasks["peg-insertion"].digest() != before
-
-
 ROBUST = {
     "peg-insertion-robust": ("clearance_mm", 0.5, 2.0),
     "lock-opening-robust": ("slot_clearance_mm", 0.5, 2.0),
@@ -491,40 +477,17 @@ def test_robust_tasks_draw_what_makes_them_hard_under_the_contact_model_that_sti
     assert task.settings["contact_model"] == "arena-2"
 
 
-@pytest.mark.parametrize(
-    ("draws", "message"),
-    [
-        ({"clearence_mm": [0.5, 2]}, "no quantity 'clearence_mm' to draw; did you mean 'clearance_mm'?"),
-        (
-            {"clearance_mm": [2, 0.5]},
-            "Draw 'clearance_mm' is [2.0, 0.5], expected two numbers from 0.1 to 3 mm, rising.",
-        ),
-        ({"clearance_mm": [0.5, 9]}, "expected two numbers from 0.1 to 3 mm, rising."),
-    ],
-)
-def test_refuses_draws_that_the_task_does_not_have(
-    content: dict[str, object], draws: dict[str, list[float]], message: str
-) -> None:
-    tasks = content["tasks"]
-    assert isinstance(tasks, dict)
-    tasks["peg-insertion"]["draws"] = draws
-    with pytest.raises(DocumentRejected) as refused:
-        parse(content)
-    assert message in str(refused.value)
-
-
 def test_draws_are_part_of_the_digest() -> None:
     _, task = find_task("peg-insertion-robust")
     other = task.model_copy(update={"draws": task.draws | {"clearance_mm": (0.5, 1.9)}})
     assert other.digest() != task.digest()
 
 
-def test_a_limit_of_force_is_an_argument_and_part_of_the_digest(content: dict[str, Any]) -> None:
+def test_a_limit_of_force_is_an_argument(content: dict[str, Any]) -> None:
     plain = parse(content).tasks["peg-insertion"]
     content["tasks"]["peg-insertion"]["force_limit_n"] = 20
     limited = parse(content).tasks["peg-insertion"]
     assert limited.environment_arguments == {**plain.environment_arguments, "force_limit_n": 20}
-    assert limited.digest() != plain.digest()
     assert all(
         task.force_limit_n is None for name in ("track_1", "track_2") for task in load_track(name).tasks.values()
     )

@@ -48,10 +48,15 @@ def test_an_announcement_is_shown_to_everybody_and_sent_where_it_is_asked_for(da
             messages.withdraw_announcement(session, CONSOLE, 4711)
 
 
-def test_what_cannot_be_shown_is_not_announced(database: Database) -> None:
+def test_what_cannot_be_shown_is_neither_announced_nor_asked(database: Database) -> None:
     for title, text in (("Title", "a\0b"), ("Title", "x"), ("a\0b", "Text"), ("x" * 121, "Text")):
         with database.transaction() as session, refused(ProblemCode.INVALID_REQUEST):
             messages.publish_announcement(session, CONSOLE, title=title, text=text, notify=False)
+    with database.transaction() as session:
+        ants = make_principal(session, "Ants")
+    for text in ("", "x", "x" * 4001, "turned \u202e around"):
+        with database.transaction() as session, refused(ProblemCode.INVALID_REQUEST):
+            messages.ask_question(session, ants, text, public=True)
 
 
 def test_a_question_is_seen_by_whom_it_concerns(database: Database) -> None:

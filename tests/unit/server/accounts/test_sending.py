@@ -29,6 +29,7 @@ from vitac.server.errors import ProblemCode
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.settings import Settings
+from worker_fakes import eventually
 
 from competitions import make_competition, open_now, put_in_place
 
@@ -139,6 +140,17 @@ def settings_with(tmp_path: Path) -> Settings:
 
 def with_address(session: Session, by: Principal, address: str = "ann@example.org") -> None:
     members.set_email(session, CONSOLE, members.find_captain(session, teams.own(session, by)), address)
+
+
+def announce(
+    session: Session, *subjects: str, kind: NoticeKind = NoticeKind.FINISHED, team: str = "Team A", **address: str
+) -> Principal:
+    """Make a team with an e-mail address, and announce to it."""
+    by = make_principal(session, team)
+    with_address(session, by, **address)
+    for subject in subjects:
+        outbox.announce(session, kind, teams.own(session, by).id, subject, FACTS)
+    return by
 
 
 def send_one(database: Database, settings: Settings) -> bool:
@@ -296,9 +308,7 @@ def test_who_was_killed_while_sending_loses_nothing_and_who_was_late_says_nothin
     database: Database, tmp_path: Path
 ) -> None:
     with database.transaction() as session:
-        team = make_principal(session)
-        with_address(session, team)
-        outbox.announce(session, NoticeKind.FINISHED, teams.own(session, team).id, "evaluation:1", FACTS)
+        announce(session, "evaluation:1")
     claimed = sending.claim(database)
     assert claimed is not None
     assert sending.claim(database) is None
@@ -312,16 +322,10 @@ def test_who_was_killed_while_sending_loses_nothing_and_who_was_late_says_nothin
 
 def test_the_sender_works_until_it_is_stopped(database: Database, tmp_path: Path) -> None:
     with database.transaction() as session:
-        team = make_principal(session)
-        with_address(session, team)
-        outbox.announce(session, NoticeKind.FINISHED, teams.own(session, team).id, "evaluation:1", FACTS)
-    written = threading.Event()
+        announce(session, "evaluation:1")
     sender = sending.NoticeSender(database, settings_with(tmp_path).model_copy(update={"sweep_interval_s": 0.02}))
     sender.start()
-    for _ in range(1000):
-        if list((tmp_path / "mails").glob("*.eml")):
-            break
-        written.wait(0.02)
+    eventually(lambda: list((tmp_path / "mails").glob("*.eml")) != [])
     sender.stop()
     assert len(list((tmp_path / "mails").glob("*.eml"))) == 1
 
@@ -332,9 +336,7 @@ def test_an_address_that_is_none_is_its_notices_problem_and_no_other_ones(
 ) -> None:
     with database.transaction() as session:
         for name, target in (("Ants", address), ("Bees", "bee@example.org")):
-            team = make_principal(session, name)
-            with_address(session, team, target)
-            outbox.announce(session, NoticeKind.FINISHED, teams.own(session, team).id, f"evaluation:{name}", FACTS)
+            announce(session, f"evaluation:{name}", team=name, address=target)
     settings = settings_with(tmp_path)
     assert [send_one(database, settings) for _ in range(3)] == [True, True, False]
     with database.transaction() as session:
@@ -377,10 +379,7 @@ def test_a_notice_whose_last_try_was_not_noted_is_given_up_and_the_next_is_sent(
     database: Database, tmp_path: Path
 ) -> None:
     with database.transaction() as session:
-        team = make_principal(session)
-        with_address(session, team)
-        for number in range(2):
-            outbox.announce(session, NoticeKind.FINISHED, teams.own(session, team).id, f"evaluation:{number}", FACTS)
+        announce(session, "evaluation:0", "evaluation:1")
         killed = outbox.newest(session)[0]
         killed.attempts, killed.due_at = sending.MAX_ATTEMPTS, datetime.now(UTC) - timedelta(hours=1)
         killed_id = killed.id
@@ -504,10 +503,7 @@ def test_a_webhook_that_is_removed_takes_its_waiting_notices_along(database: Dat
 def test_of_several_senders_at_once_each_sends_other_notices(database: Database, tmp_path: Path) -> None:
     settings = settings_with(tmp_path)
     with database.transaction() as session:
-        team = make_principal(session)
-        with_address(session, team)
-        for number in range(12):
-            outbox.announce(session, NoticeKind.FINISHED, teams.own(session, team).id, f"evaluation:{number}", FACTS)
+        announce(session, *(f"evaluation:{number}" for number in range(12)))
     with ThreadPoolExecutor(4) as pool:
         sent = list(pool.map(lambda _: send_one(database, settings), range(16)))
     assert sent.count(True) == 12

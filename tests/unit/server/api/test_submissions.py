@@ -79,15 +79,9 @@ def test_same_upload_at_the_same_time_is_one_submission(service: Service) -> Non
     assert service.count("submissions") == service.count("evaluations") == 1
 
 
-def test_again_starts_a_new_run_of_a_completed_submission(service: Service) -> None:
-    identity = service.upload(ARCHIVE).json()["id"]
-    play_all(service.database, submission_of(service, identity))
-    assert service.upload(ARCHIVE).status_code == 200
-    answer = service.upload(ARCHIVE, query="?again=true")
-    assert (answer.status_code, answer.json()["evaluation"]["run"]) == (202, 2)
-
-
-def test_completed_submission_shows_score_interval_shapes_and_rank(service: Service) -> None:
+def test_completed_submission_shows_score_interval_shapes_and_rank_ends_its_events_and_runs_again(
+    service: Service,
+) -> None:
     identity = service.upload(ARCHIVE).json()["id"]
     play_all(service.database, submission_of(service, identity))
     body = service.get(f"/submissions/{identity}").json()
@@ -112,6 +106,16 @@ def test_completed_submission_shows_score_interval_shapes_and_rank(service: Serv
         "forces": None,
         "draws": {},
     }
+    path = f"/api/v1/submissions/{identity}/events"
+    with service.client.stream("GET", path, headers=bearer(service.token)) as answer:
+        assert answer.headers["content-type"].startswith("text/event-stream")
+        lines = [line for line in answer.iter_lines() if line]
+    assert [line for line in lines if line.startswith("event: ")] == ["event: submission", "event: end"]
+    data = next(line.removeprefix("data: ") for line in lines if line.startswith("data: "))
+    assert json.loads(data)["evaluation"]["state"] == "completed"
+    assert service.upload(ARCHIVE).status_code == 200
+    again = service.upload(ARCHIVE, query="?again=true")
+    assert (again.status_code, again.json()["evaluation"]["run"]) == (202, 2)
 
 
 def test_no_or_unknown_token_is_refused_before_the_body_is_read(service: Service) -> None:
@@ -165,14 +169,11 @@ def test_cancel_ends_the_evaluation_once(service: Service) -> None:
     assert problem["state"] == "cancelled"
 
 
-def test_other_content_types_are_refused(service: Service) -> None:
+def test_other_content_types_are_refused_and_ours_may_have_parameters_and_capitals(service: Service) -> None:
     for content_type in ["", "text/plain", "multipart/form-data; boundary=x", "application/gzip"]:
         problem = problem_of(service.upload(ARCHIVE, Content_Type=content_type), 415, "unsupported_content_type")
         assert problem["supported"] == ["application/zip"]
         service.assert_nothing_left()
-
-
-def test_content_type_may_have_parameters_and_capitals(service: Service) -> None:
     assert service.upload(ARCHIVE, Content_Type="Application/ZIP; q=1").status_code == 202
 
 
@@ -194,36 +195,32 @@ def test_digest_that_came_along_is_verified(service: Service) -> None:
     assert service.upload(ARCHIVE, Content_Digest=good).status_code == 200
 
 
-def test_archive_that_breaks_a_rule_is_refused_and_nothing_is_left(service: Service) -> None:
-    for archive, reason in [
-        (b"\x89PNG not a zip", "not_a_zip"),
-        (make_archive({"Track_1/../../escaped.py": "x"}), "parent_path"),
-        (make_archive({"Other/submission.yaml": MANIFEST}), "wrong_top_folder"),
-        (
-            make_archive({"Track_1/submission.yaml": MANIFEST, "Track_1/bomb": b"\0" * (64 << 20)}),
-            "compressed_too_much",
-        ),
-        (
-            make_archive({"Track_1/submission.yaml": MANIFEST, "Track_1/wheels/jax-0.9.tar.gz": b"x"}),
-            "wheel",
-        ),
-    ]:
+def test_archive_that_breaks_a_rule_or_is_empty_is_refused_and_nothing_is_left(service: Service) -> None:
+    rows: list[tuple[dict[str, str | bytes] | None, str]] = [
+        ({"Track_1/../../escaped.py": "x"}, "parent_path"),
+        ({"Other/submission.yaml": MANIFEST}, "wrong_top_folder"),
+        ({"Track_1/submission.yaml": MANIFEST, "Track_1/bomb": b"\0" * (64 << 20)}, "compressed_too_much"),
+        ({"Track_1/submission.yaml": MANIFEST, "Track_1/wheels/jax-0.9.tar.gz": b"x"}, "wheel"),
+        (None, "not_a_zip"),
+    ]
+    for files, reason in rows:
+        archive = b"\x89PNG not a zip" if files is None else make_archive(files)
         problem = problem_of(service.upload(archive), 422, "archive_rejected")
         assert problem["reason"] == reason
         service.assert_nothing_left()
-
-
-def test_empty_body_is_refused(service: Service) -> None:
     problem_of(service.upload(b""), 400, "upload_truncated")
     service.assert_nothing_left()
 
 
-def test_size_limit_is_told_from_the_header_before_the_body_is_read(database: Database, tmp_path: Path) -> None:
+def test_size_limit_is_told_from_the_header_before_the_body_is_read_and_cuts_a_chunked_body(
+    database: Database, tmp_path: Path
+) -> None:
     with running_service(database, tmp_path, limits=Limits(archive_packed_bytes=1000)) as service:
         answer = talk(service, head(service, "Content-Length: 1001", "Expect: 100-continue"))
         assert answer.startswith("HTTP/1.1 413 ")
         assert "connection: close" in answer
         assert '"limit_bytes":1000' in answer
+        problem_of(service.upload(iter([b"x" * 600] * 3)), 413, "upload_too_large")
         service.assert_nothing_left()
 
 
@@ -283,25 +280,6 @@ def read_all(connection: socket.socket) -> str:
     while chunk := connection.recv(65536):
         received += chunk
     return received.decode()
-
-
-def test_chunked_body_is_cut_at_the_limit(database: Database, tmp_path: Path) -> None:
-    with running_service(database, tmp_path, limits=Limits(archive_packed_bytes=1000)) as service:
-        problem_of(service.upload(iter([b"x" * 600] * 3)), 413, "upload_too_large")
-        service.assert_nothing_left()
-
-
-def test_events_show_the_submission_and_end_when_it_has_ended(service: Service) -> None:
-    identity = service.upload(ARCHIVE).json()["id"]
-    play_all(service.database, submission_of(service, identity))
-    with service.client.stream(
-        "GET", f"/api/v1/submissions/{identity}/events", headers=bearer(service.token)
-    ) as answer:
-        assert answer.headers["content-type"].startswith("text/event-stream")
-        lines = [line for line in answer.iter_lines() if line]
-    assert [line for line in lines if line.startswith("event: ")] == ["event: submission", "event: end"]
-    data = next(line.removeprefix("data: ") for line in lines if line.startswith("data: "))
-    assert json.loads(data)["evaluation"]["state"] == "completed"
 
 
 def test_database_that_is_away_is_a_problem_with_retry_after(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,10 +3,13 @@ from typing import Any
 
 import pytest
 from service_client import Service, make_archive, problem_of
-from service_factories import LOCK, TASK, TRACK, RecordOf, play_all, successes_below
+from service_factories import LOCK, TASK, TRACK, RecordOf, make_score, play_all, submit_scored, successes_below
 from vitac.evaluator.tracks import registry
+from vitac.server.accounts import teams
 from vitac.server.database.models import Submission
+from vitac.server.database.states import Role
 from vitac.server.leaderboards.baselines import HUMAN
+from vitac.server.principals import Principal
 
 
 def evaluated(service: Service, token: str, policy: str, record_of: RecordOf) -> str:
@@ -61,22 +64,18 @@ def test_leaderboard_shows_the_best_completed_entry_of_each_team(service: Servic
     assert [shape["episodes"] for shape in first["scores"][0]["shapes"]] == [90, 90, 90]
 
 
-def test_a_leaderboard_is_sent_in_pages(service: Service) -> None:
-    for number, token in enumerate((service.token, service.other_token)):
-        evaluated(service, token, f"x = {number}", successes_below(100 + number))
-    address = f"/api/v1/leaderboards/{TRACK}?task={TASK}&limit=1"
-    first, second = (service.client.get(f"{address}&after={after}").json() for after in (0, 1))
+def test_a_leaderboard_is_sent_in_pages_and_searched(service: Service) -> None:
+    with service.database.transaction() as session:
+        bees = Principal(role=Role.TEAM, team_id=teams.find(session, "Team B").id, team_name="Team B")
+        for by, successes in ((service.principal, 40), (bees, 41)):
+            submit_scored(session, by, by.team_name or "", {TASK: make_score(successes)})
+    address = f"/api/v1/leaderboards/{TRACK}?task={TASK}"
+    first, second = (service.client.get(f"{address}&limit=1&after={after}").json() for after in (0, 1))
     assert [(entry["rank"]) for page in (first, second) for entry in page["entries"]] == [1, 2]
     assert [(page["teams"], page["next_after"]) for page in (first, second)] == [(2, 1), (2, None)]
-    assert service.client.get(f"{address}&after=5").json()["entries"] == []
+    assert service.client.get(f"{address}&limit=1&after=5").json()["entries"] == []
     assert service.client.get(f"/api/v1/leaderboards/{TRACK}/logs?limit=1").json()["next_after"] is None
     problem_of(service.client.get(f"/api/v1/leaderboards/{TRACK}?limit=501"), 422, "invalid_request")
-
-
-def test_a_leaderboard_is_searched(service: Service) -> None:
-    for number, token in enumerate((service.token, service.other_token)):
-        evaluated(service, token, f"x = {number}", successes_below(110 + number))
-    address = f"/api/v1/leaderboards/{TRACK}?task={TASK}"
     found = service.client.get(f"{address}&q=team+a").json()
     assert [(entry["rank"], entry["team"]) for entry in found["entries"]] == [(2, "Team A")]
     assert (found["teams"], found["baselines"]) == (2, [])

@@ -212,8 +212,13 @@ def test_what_came_before_a_cut_counts(service: Service) -> None:
     assert service.post(f"{place.removeprefix(API)}/submission").status_code == 202
 
 
-def test_a_piece_for_another_offset_is_told_where_to_go_on(service: Service) -> None:
+def test_a_piece_is_announced_as_one_fits_whole_and_goes_on_where_the_last_one_ended(service: Service) -> None:
     place = begun(service, 100)
+    answer = ask(service, "PATCH", place, headers={"Upload-Offset": "0", "Content-Type": "text/plain"}, content=b"x")
+    problem_of(answer, 415, "unsupported_content_type")
+    problem_of(ask(service, "PATCH", place, headers=PIECE, content=b"x"), 400, "length_invalid")
+    problem_of(send(service, place, 0, b"x" * 101), 413, "upload_too_large")
+    assert offset_of(service, place) == 0
     assert send(service, place, 0, b"x" * 10).status_code == 204
     for offset in (0, 11, 100):
         assert problem_of(send(service, place, offset, b"y"), 409, "upload_conflict")["offset"] == 10
@@ -258,24 +263,19 @@ def test_a_piece_with_a_checksum_counts_whole_or_not_at_all(service: Service, al
     assert offset_of(service, place) == len(content)
 
 
-def test_damage_of_the_whole_is_found_and_the_upload_removed(service: Service) -> None:
+def test_an_upload_is_a_submission_with_its_last_byte_and_only_if_it_is_whole_and_breaks_no_rule(
+    service: Service,
+) -> None:
     archive = make_archive()
-    place = begun(service, len(archive), sha256="0" * 64)
-    send(service, place, 0, archive)
-    problem_of(service.post(f"{place.removeprefix(API)}/submission"), 400, "digest_mismatch")
-    assert ask(service, "HEAD", place).status_code == 404
+    damaged = begun(service, len(archive), sha256="0" * 64)
+    send(service, damaged, 0, archive)
+    problem_of(service.post(f"{damaged.removeprefix(API)}/submission"), 400, "digest_mismatch")
+    assert ask(service, "HEAD", damaged).status_code == 404
     assert stored_parts(service) == []
-
-
-def test_a_body_that_breaks_a_rule_is_refused_as_if_it_were_sent_at_once(service: Service) -> None:
     place = begun(service, 5)
     send(service, place, 0, b"nozip")
     problem_of(service.post(f"{place.removeprefix(API)}/submission"), 422, "archive_rejected")
     assert service.leftovers() == []
-
-
-def test_an_upload_is_no_submission_before_its_last_byte(service: Service) -> None:
-    archive = make_archive()
     place = begun(service, len(archive))
     send(service, place, 0, archive[:-1])
     problem = problem_of(service.post(f"{place.removeprefix(API)}/submission"), 409, "upload_incomplete")
@@ -308,12 +308,6 @@ def test_an_upload_is_in_time_where_its_last_byte_was(service: Service) -> None:
 def test_an_upload_after_a_stage_belongs_to_the_one_that_is_open(service: Service) -> None:
     late = competition_that_closed(service, before_the_bytes=timedelta(hours=2))
     assert service.post(late).json()["stage"] == SECOND
-
-
-def test_a_piece_beyond_the_announced_length_is_refused_whole(service: Service) -> None:
-    place = begun(service, 10)
-    problem_of(send(service, place, 0, b"x" * 11), 413, "upload_too_large")
-    assert offset_of(service, place) == 0
 
 
 def test_the_same_content_is_continued_by_whoever_has_the_teams_token(service: Service) -> None:
@@ -388,13 +382,6 @@ def test_a_head_that_cannot_be_used_is_refused_by_name(service: Service) -> None
     ]:
         headers = {"Upload-Length": length, "Upload-Metadata": metadata}
         problem_of(ask(service, "POST", f"{API}/uploads", headers=headers), status, code)
-
-
-def test_a_piece_is_announced_as_one(service: Service) -> None:
-    place = begun(service, 10)
-    answer = ask(service, "PATCH", place, headers={"Upload-Offset": "0", "Content-Type": "text/plain"}, content=b"x")
-    problem_of(answer, 415, "unsupported_content_type")
-    problem_of(ask(service, "PATCH", place, headers=PIECE, content=b"x"), 400, "length_invalid")
 
 
 def test_an_abandoned_upload_expires_and_is_removed_with_its_parts(service: Service) -> None:

@@ -19,6 +19,7 @@ from vitac.server.competitions.view import competition_view
 from vitac.server.database.engine import Database
 from vitac.server.database.states import Role
 from vitac.server.decisions import rejudging
+from vitac.server.decisions.advancement import confirm, propose
 from vitac.server.decisions.finishing import finalize, winners
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.evaluations.history import newest_evaluation
@@ -214,6 +215,8 @@ def test_an_organizer_of_one_competition_changes_only_what_belongs_to_it(both: D
             lambda: reveal(session, by, stages[MAIN]),
             lambda: freeze_boards(session, by, MAIN),
             lambda: finalize(session, by, MAIN),
+            lambda: propose(session, by, Competition.find(session, MAIN).stage(TRACK, SECOND)),
+            lambda: confirm(session, by, Competition.find(session, MAIN).stage(TRACK, SECOND)),
         ):
             with pytest.raises(ServiceError, match="organizes the competition class, and this concerns cup; ask an"):
                 of_the_cup()

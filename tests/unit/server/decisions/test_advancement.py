@@ -52,39 +52,27 @@ def confirmed(database: Database, **options: Any) -> list[str]:
         return confirm(session, CONSOLE, stored_stage(session, TRACK, SECOND), **options)
 
 
-@pytest.mark.parametrize(
-    ("rule", "advancing"),
-    [
-        ({"top": 2}, ["Ants", "Bees"]),
-        ({"top": 9}, ["Ants", "Bees", "Cats", "Dogs"]),
-        ({"top_share": 0.5}, ["Ants", "Bees"]),
-        ({"top_share": 0.51}, ["Ants", "Bees", "Cats"]),
-        ({"top_share": 0.01}, ["Ants"]),
-        ({"score_at_least": 0.39}, ["Ants", "Bees", "Cats"]),
-        ({"score_at_least": 0.99}, []),
-    ],
-)
-def test_the_rule_says_who_is_proposed(database: Database, rule: dict[str, Any], advancing: list[str]) -> None:
-    begin(database, rule)
-    found = proposed(database)
-    assert [team.team for team in found.teams if team.advances] == advancing
-    assert (found.before, found.registered, found.running, found.unranked) == (FIRST, 4, 0, [])
-
-
-def test_teams_whose_intervals_meet_across_the_border_are_named(database: Database) -> None:
+def test_the_rule_says_who_is_proposed_and_whose_intervals_meet_across_its_border(database: Database) -> None:
     begin(database, {"top": 2})
-    assert [team.team for team in proposed(database).teams if team.at_border] == ["Bees", "Cats"]
-
-
-def test_at_a_needed_score_the_border_runs_through_intervals(database: Database) -> None:
-    begin(database, {"score_at_least": 0.4})
-    found = {team.team: (team.advances, team.at_border) for team in proposed(database).teams}
-    assert found == {"Ants": (True, False), "Bees": (True, True), "Cats": (False, True), "Dogs": (False, False)}
-
-
-def test_everybody_advances_without_a_border_where_there_are_enough_places(database: Database) -> None:
-    begin(database, {"top": 4})
-    assert not any(team.at_border for team in proposed(database).teams)
+    for rule, advancing, at_border in (
+        ({"top": 2}, ["Ants", "Bees"], ["Bees", "Cats"]),
+        ({"top": 4}, ["Ants", "Bees", "Cats", "Dogs"], []),
+        ({"top": 9}, ["Ants", "Bees", "Cats", "Dogs"], []),
+        ({"top_share": 0.5}, ["Ants", "Bees"], ["Bees", "Cats"]),
+        ({"top_share": 0.51}, ["Ants", "Bees", "Cats"], []),
+        ({"top_share": 0.01}, ["Ants"], []),
+        ({"score_at_least": 0.39}, ["Ants", "Bees", "Cats"], ["Bees", "Cats"]),
+        ({"score_at_least": 0.4}, ["Ants", "Bees"], ["Bees", "Cats"]),
+        ({"score_at_least": 0.99}, [], []),
+    ):
+        content = make_competition()
+        content["tracks"][TRACK]["stages"][1]["qualified"] = rule
+        with database.transaction() as session:
+            put_in_place(session, open_now(content, stage=1))
+        found = proposed(database)
+        assert [team.team for team in found.teams if team.advances] == advancing, rule
+        assert [team.team for team in found.teams if team.at_border] == at_border, rule
+        assert (found.before, found.registered, found.running, found.unranked) == (FIRST, 4, 0, [])
 
 
 def test_a_share_counts_teams_registered_in_time_but_disqualified_ones(database: Database) -> None:
@@ -196,15 +184,11 @@ def test_results_of_another_evaluator_version_are_named_and_not_proposed(databas
     assert found.unranked == ["Ants", "Bees", "Cats", "Dogs"]
 
 
-@pytest.mark.parametrize("stage", [FIRST, "none"])
-def test_nobody_advances_to_a_stage_for_all_or_an_unknown_one(database: Database, stage: str) -> None:
+def test_nobody_advances_to_a_stage_for_all_or_an_unknown_one_and_only_organizers_confirm(database: Database) -> None:
     begin(database, {"top": 1})
-    with refused(ProblemCode.UNKNOWN_STAGE), database.transaction() as session:
-        propose(session, CONSOLE, stored_stage(session, TRACK, stage))
-
-
-def test_only_organizers_confirm(database: Database) -> None:
-    begin(database, {"top": 1})
+    for stage in (FIRST, "none"):
+        with refused(ProblemCode.UNKNOWN_STAGE), database.transaction() as session:
+            propose(session, CONSOLE, stored_stage(session, TRACK, stage))
     with refused(ProblemCode.FORBIDDEN), database.transaction() as session:
         confirm(session, Principal(role=Role.JUDGE), stored_stage(session, TRACK, SECOND))
     with database.transaction() as session:

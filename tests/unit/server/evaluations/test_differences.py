@@ -1,16 +1,14 @@
 from uuid import uuid4
 
-import pytest
 from service_factories import (
     TASK,
     claim,
     make_record,
     make_settings,
-    shard_ids,
     store,
-    submit,
     take_away,
 )
+from submission_steps import ids_of
 from vitac.evaluator.episodes.records import EpisodeOutcome
 from vitac.server.database.engine import Database
 from vitac.server.database.models import Submission
@@ -23,17 +21,6 @@ SETTINGS = make_settings()
 FIRST, OTHER = make_record(3), make_record(3, EpisodeOutcome.STEPS)
 
 
-@pytest.fixture
-def submission(database: Database, principal: Principal) -> Submission:
-    with database.transaction() as session:
-        return submit(session, principal)
-
-
-def first_shard(database: Database, submission: Submission) -> int:
-    with database.transaction() as session:
-        return shard_ids(session, submission)[0]
-
-
 def alarms(database: Database, submission: Submission, by: Principal = CONSOLE) -> list[DifferingEpisodeView] | None:
     with database.transaction() as session:
         return get(session, SETTINGS, by, submission.id).evaluation.differing_episodes
@@ -42,7 +29,7 @@ def alarms(database: Database, submission: Submission, by: Principal = CONSOLE) 
 def test_episode_that_differs_from_the_stored_one_alarms_the_organizers(
     database: Database, submission: Submission
 ) -> None:
-    shard_id, second_worker = first_shard(database, submission), uuid4()
+    shard_id, second_worker = ids_of(database, submission)[0], uuid4()
     store(database, claim(database, shard_id), [FIRST])
     take_away(database, shard_id)
     store(database, claim(database, shard_id, second_worker), [OTHER])
@@ -56,7 +43,7 @@ def test_episode_that_differs_from_the_stored_one_alarms_the_organizers(
 
 
 def test_episode_that_repeats_itself_alarms_nobody(database: Database, submission: Submission) -> None:
-    store(database, claim(database, first_shard(database, submission)), [FIRST, FIRST])
+    store(database, claim(database, ids_of(database, submission)[0]), [FIRST, FIRST])
     assert alarms(database, submission) == []
     with database.transaction() as session:
         assert [row.differing_episodes for row in list_evaluations(session, limit=10)] == [0]
@@ -64,7 +51,7 @@ def test_episode_that_repeats_itself_alarms_nobody(database: Database, submissio
 
 def test_same_difference_is_told_once_and_another_one_beside_it(database: Database, submission: Submission) -> None:
     third = make_record(3, EpisodeOutcome.STEPS, total_reward=2.0)
-    store(database, claim(database, first_shard(database, submission)), [FIRST, OTHER, OTHER, third])
+    store(database, claim(database, ids_of(database, submission)[0]), [FIRST, OTHER, OTHER, third])
     found = alarms(database, submission) or []
     assert [alarm.differing_digest for alarm in found] == [OTHER.record_digest(), third.record_digest()]
     with database.transaction() as session:
@@ -72,5 +59,5 @@ def test_same_difference_is_told_once_and_another_one_beside_it(database: Databa
 
 
 def test_team_is_not_told(database: Database, submission: Submission, principal: Principal) -> None:
-    store(database, claim(database, first_shard(database, submission)), [FIRST, OTHER])
+    store(database, claim(database, ids_of(database, submission)[0]), [FIRST, OTHER])
     assert alarms(database, submission, by=principal) is None

@@ -21,6 +21,7 @@ from service_factories import (
     take_away,
 )
 from sqlalchemy import select, text
+from submission_steps import ids_of
 from vitac.evaluator.agent.verdicts import VerdictCode
 from vitac.evaluator.episodes.records import EpisodeOutcome, EpisodeRecord, FailureStage, result_hash
 from vitac.evaluator.package_sets import digest_of_packages
@@ -28,7 +29,7 @@ from vitac.evaluator.scoring.score import score
 from vitac.evaluator.shards.order import ShardEnd
 from vitac.evaluator.version import evaluator_version
 from vitac.server.database.engine import Database
-from vitac.server.database.models import EpisodeResult
+from vitac.server.database.models import EpisodeResult, Submission
 from vitac.server.database.states import EvaluationState, WorkState
 from vitac.server.evaluations.episode_store import EpisodeKey, read_stored_records, store_episodes
 from vitac.server.evaluations.history import newest_evaluation
@@ -49,9 +50,7 @@ def some_record(episode: int, *, task: str = TASK) -> EpisodeRecord:
     return make_record(episode, outcome_of(episode), task)
 
 
-def test_a_new_evaluation_has_the_fixed_shards_which_wait(database: Database) -> None:
-    with database.transaction() as session:
-        submission = submit(session, make_principal(session))
+def test_a_new_evaluation_has_the_fixed_shards_which_wait(database: Database, submission: Submission) -> None:
     with database.transaction() as session:
         shards = newest_evaluation(session, submission).shards
         assert [len(shard.episodes) for shard in shards] == [27] * 10
@@ -70,10 +69,10 @@ def test_work_vanishes_with_a_transaction_that_is_rolled_back(database: Database
         assert session.scalar(text("SELECT count(*) FROM submissions")) == 0
 
 
-def test_last_shard_scores_the_evaluation_with_the_evaluators_own_functions(database: Database) -> None:
-    with database.transaction() as session:
-        submission = submit(session, make_principal(session))
-        ids = shard_ids(session, submission)
+def test_last_shard_scores_the_evaluation_with_the_evaluators_own_functions(
+    database: Database, submission: Submission
+) -> None:
+    ids = ids_of(database, submission)
     for shard_id in (*ids[5:], *ids[:5]):
         with database.transaction() as session:
             assert newest_evaluation(session, submission).state is not EvaluationState.COMPLETED
@@ -93,10 +92,8 @@ def test_last_shard_scores_the_evaluation_with_the_evaluators_own_functions(data
         assert evaluation.scores[0]["outcomes"] == {"steps": 180, "success": 90}
 
 
-def test_shard_that_lacks_an_episode_cannot_be_reported_as_complete(database: Database) -> None:
-    with database.transaction() as session:
-        submission = submit(session, make_principal(session))
-        first = shard_ids(session, submission)[0]
+def test_shard_that_lacks_an_episode_cannot_be_reported_as_complete(database: Database, submission: Submission) -> None:
+    first = ids_of(database, submission)[0]
     lease = claim(database, first)
     store(database, lease, [make_record(episode) for episode in lease.episodes[:-1]])
     with pytest.raises(EpisodesMissing, match=r"\[27\]"):
@@ -105,10 +102,10 @@ def test_shard_that_lacks_an_episode_cannot_be_reported_as_complete(database: Da
         assert state_of(session, first) is WorkState.RUNNING
 
 
-def test_broken_policy_fails_the_evaluation_with_the_first_failure_whatever_the_order(database: Database) -> None:
-    with database.transaction() as session:
-        submission = submit(session, make_principal(session))
-        ids = shard_ids(session, submission)
+def test_broken_policy_fails_the_evaluation_with_the_first_failure_whatever_the_order(
+    database: Database, submission: Submission
+) -> None:
+    ids = ids_of(database, submission)
     early, late = claim(database, ids[0]), claim(database, ids[4])
     store(database, late, [make_failed_record(109, stage=FailureStage.LOAD, code=VerdictCode.IMPORT_ERROR)])
     finish(database, late, ShardEnd.BROKEN)
@@ -164,9 +161,9 @@ def test_a_policy_that_is_broken_in_one_task_fails_with_that_task_named(database
         assert (evaluation.verdict_code, evaluation.verdict_task, evaluation.verdict_episode) == ("crashed", LOCK, 1)
 
 
-def test_a_few_policy_failures_are_unsuccessful_episodes_of_a_completed_evaluation(database: Database) -> None:
-    with database.transaction() as session:
-        submission = submit(session, make_principal(session))
+def test_a_few_policy_failures_are_unsuccessful_episodes_of_a_completed_evaluation(
+    database: Database, submission: Submission
+) -> None:
     play_all(database, submission, lambda n, task: make_failed_record(n) if n in (5, 100) else make_record(n))
     with database.transaction() as session:
         evaluation = newest_evaluation(session, submission)
@@ -175,10 +172,10 @@ def test_a_few_policy_failures_are_unsuccessful_episodes_of_a_completed_evaluati
         assert "[peg-insertion, episode 5: crashed]" in evaluation.log_tail
 
 
-def test_output_that_the_database_cannot_hold_is_stored_all_the_same(database: Database) -> None:
-    with database.transaction() as session:
-        submission = submit(session, make_principal(session))
-        first = shard_ids(session, submission)[0]
+def test_output_that_the_database_cannot_hold_is_stored_all_the_same(
+    database: Database, submission: Submission
+) -> None:
+    first = ids_of(database, submission)[0]
     lease = claim(database, first)
     store(database, lease, [make_failed_record(n, output="nul \0 and half \ud800 a pair") for n in (1, 2, 3)])
     finish(database, lease, ShardEnd.BROKEN)
@@ -227,9 +224,7 @@ def test_evaluation_of_a_second_run_has_records_of_its_own(database: Database) -
         assert len(session.scalars(select(EpisodeResult)).all()) == 540
 
 
-def test_records_are_read_back_as_they_were_written(database: Database) -> None:
-    with database.transaction() as session:
-        submission = submit(session, make_principal(session))
+def test_records_are_read_back_as_they_were_written(database: Database, submission: Submission) -> None:
     play_all(database, submission, some_record)
     with database.transaction() as session:
         key = EpisodeKey.from_evaluation(newest_evaluation(session, submission), submission)
@@ -286,12 +281,12 @@ def store_all(
         store_episodes(session, lease, [some_record(episode) for episode in episodes], packages=packages)
 
 
-def test_a_worker_with_other_packages_waits_for_the_evaluation_without_holding_its_shard(database: Database) -> None:
+def test_a_worker_with_other_packages_waits_for_the_evaluation_without_holding_its_shard(
+    database: Database, submission: Submission
+) -> None:
     """Whoever ends an evaluation locks it before its shards; in another order both would wait for ever."""
     kinds = [{"numpy": "2.5.0"}, {"numpy": "2.4.0"}]
-    with database.transaction() as session:
-        submission = submit(session, make_principal(session))
-        ids = shard_ids(session, submission)
+    ids = ids_of(database, submission)
     leases = [claim(database, shard_id) for shard_id in ids[:2]]
     with ThreadPoolExecutor(1) as threads:
         with database.transaction() as session:

@@ -12,11 +12,13 @@ from service_client import Service, problem_of, running_service
 from service_factories import (
     TASK,
     RecordOf,
+    add_result,
     claim,
     finish,
     make_failed_record,
     make_principal,
     make_record,
+    make_score,
     make_settings,
     make_upload,
     outdate,
@@ -37,12 +39,14 @@ from vitac.evaluator.logs.log import LogReader
 from vitac.evaluator.logs.text_2025 import WHY_RATES_DIFFER
 from vitac.evaluator.logs.text_2025.scripts import all_scripts
 from vitac.evaluator.shards.order import ShardEnd, ShardResult
+from vitac.evaluator.submission_kinds import SubmissionKind
 from vitac.evaluator.version import evaluator_version
 from vitac.server.competitions import sealing
 from vitac.server.database.engine import Database
 from vitac.server.database.models import Evaluation, Submission, Team
 from vitac.server.database.states import WorkState
 from vitac.server.evaluations import action_matches, lifecycle
+from vitac.server.evaluations.logs import LogClaim
 from vitac.server.evaluations.verdicts import find_sentence
 from vitac.server.leaderboards import log_boards
 from vitac.server.principals import CONSOLE
@@ -234,13 +238,14 @@ def test_output_that_a_log_names_is_not_shown_as_a_policys(service: Service) -> 
         return make_failed_record(episode, output="as if it ran", task=task) if failed else make_record(episode)
 
     log = uploaded(service, a_log([record_of(n) for n in range(1, 271)]))
-    first, *others = leases_of(service, log)
-    store(service.database, first, [record_of(episode) for episode in first.episodes])
+    with service.database.transaction() as session:
+        first, *others = shard_ids(session, log)
+    lease = claim(service.database, first)
+    store(service.database, lease, [record_of(episode) for episode in lease.episodes])
     assert "as if it ran" not in service.get(f"/submissions/{log.id}").text
-    finish(service.database, first)
-    for lease in others:
-        store(service.database, lease, [record_of(episode) for episode in lease.episodes])
-        finish(service.database, lease)
+    finish(service.database, lease)
+    for shard_id in others:
+        play(service.database, shard_id, record_of)
     assert shown(service, log)["evaluation"]["state"] == "completed"
     assert "as if it ran" not in service.get(f"/submissions/{log.id}").text
 
@@ -323,38 +328,23 @@ def test_text_log_of_the_track_in_which_teams_bring_sensors_is_listed_there(serv
     assert (found["rank"], found["missing_tasks"], found["evaluation"]["success_rate"]) == (None, [], 0.5)
 
 
-def test_text_logs_of_a_disqualified_team_are_not_listed(service: Service) -> None:
-    play_all(service.database, uploaded(service, a_text_log(), "text_log"))
-    with service.database.transaction() as session:
-        assert len(log_boards.log_boards(session, shown_stage(session, "track_1")).view.text_logs) == 1
-        session.execute(update(Team).values(disqualified_at=datetime.now(UTC), disqualified_for="two accounts"))
-        assert log_boards.log_boards(session, shown_stage(session, "track_1")).view.text_logs == []
-
-
-def test_only_the_newest_text_logs_are_loaded(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
-    for totals in ("4.81", "4.80", "4.79"):
-        log = uploaded(service, a_text_log(totals=(f"#SUCCESS_RATE: {totals}%", "#AVG_STEP: 2.00")), "text_log")
-        play_all(service.database, log)
+def test_only_the_newest_text_logs_are_loaded(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(log_boards, "MAX_TEXT_LOGS", 2)
+    claim = LogClaim(team=None, episodes=270, successes=13, success_rate=0.0481, mean_steps=2.0)
+    with database.transaction() as session:
+        team = session.get_one(Team, make_principal(session).team_id)
+        for number, rate in enumerate((0.0481, 0.048, 0.0479)):
+            at = datetime(2031, 1, number + 1, tzinfo=UTC)
+            made = add_result(session, number, team, {TASK: make_score(13, 270)}, at, kind=SubmissionKind.TEXT_LOG)
+            made.submission.manifest = claim.model_copy(update={"success_rate": rate}).stored()
     loaded: list[Evaluation] = []
-    with service.database.transaction() as session:
+    with database.transaction() as session:
         event.listen(session, "loaded_as_persistent", lambda _, found: loaded.append(found))
         shown = log_boards.log_boards(session, shown_stage(session, "track_1")).view.text_logs
     assert [entry.claimed_success_rate for entry in shown] == [0.0479, 0.048]
     evaluations = [found for found in loaded if isinstance(found, Evaluation)]
     assert len(evaluations) == 2
     assert all("log_tail" in inspect(found).unloaded for found in evaluations)
-
-
-def test_text_log_that_was_evaluated_again_is_listed_once(service: Service) -> None:
-    log = uploaded(service, a_text_log(), "text_log")
-    play_all(service.database, log)
-    with service.database.transaction() as session:
-        outdate(session)
-    assert upload_log(service, a_text_log(), "text_log", query="&again=true").status_code == 202
-    play_all(service.database, log)
-    (entry,) = service.client.get("/api/v1/leaderboards/track_1/logs").json()["text_logs"]
-    assert (entry["submission_id"], entry["evaluator_version"]) == (str(log.id), evaluator_version())
 
 
 # ---- models of the same team ----
@@ -375,39 +365,16 @@ def parts_from_the_second_step(episode: int, *, task: str = TASK) -> EpisodeReco
     return make_record(5, actions=ActionSequence.from_array(actions))
 
 
-def test_later_model_that_gives_all_actions_of_a_log_is_told(service: Service) -> None:
+def test_models_that_give_the_actions_of_a_log_are_told_read_once_and_left_out_where_they_play_another_list(
+    service: Service,
+) -> None:
     log = resimulated(service, a_log())
     assert service.get(f"/submissions/{log.id}/action-matches").json() == []
     model = with_model(service)
-    (match,) = service.get(f"/submissions/{log.id}/action-matches").json()
+    (match,) = first = service.get(f"/submissions/{log.id}/action-matches").json()
     assert (match["submission_id"], match["submission_name"]) == (str(model.id), "zero")
     assert (match["reproduced"], match["actions"]) == (810, 810)
     assert (match["episodes_reproduced"], match["episodes"], match["others"]) == (270, 270, [])
-
-
-def test_a_model_on_a_sealed_list_is_not_compared_with_a_log_of_the_public_one(service: Service) -> None:
-    log, model = resimulated(service, a_log()), with_model(service)
-    assert len(service.get(f"/submissions/{log.id}/action-matches").json()) == 1
-    with service.database.transaction() as session:
-        made = sealing.seal(session, CONSOLE, stored_stage(session, model.track, "final"))
-        session.execute(
-            update(Evaluation).where(Evaluation.submission_id == model.id).values(commitment=made.commitment)
-        )
-    assert service.get(f"/submissions/{log.id}/action-matches").json() == []
-
-
-def test_names_the_first_mismatch(service: Service) -> None:
-    with_model(service, parts_from_the_second_step)
-    log = resimulated(service, a_log())
-    (match,) = service.get(f"/submissions/{log.id}/action-matches").json()
-    assert (match["reproduced"], match["episodes_reproduced"]) == (808, 269)
-    assert match["others"] == [{"episode": 5, "actions": 3, "reproduced": 1, "first_mismatch": 2}]
-
-
-def test_models_that_were_compared_before_are_not_read_again(service: Service) -> None:
-    log = resimulated(service, a_log())
-    with_model(service)
-    first = service.get(f"/submissions/{log.id}/action-matches").json()
     with_model(service, parts_from_the_second_step, content="another")
     with service.database.transaction() as session, database_work(session) as work:
         found = action_matches.action_matches(session, CONSOLE, log.id)
@@ -417,6 +384,20 @@ def test_models_that_were_compared_before_are_not_read_again(service: Service) -
     with service.database.transaction() as session, database_work(session) as work:
         assert action_matches.action_matches(session, CONSOLE, log.id) == found
     assert work.rows_read["episode_results"] == 0
+    with service.database.transaction() as session:
+        made = sealing.seal(session, CONSOLE, stored_stage(session, model.track, "final"))
+        of_model = Evaluation.submission_id == model.id
+        session.execute(update(Evaluation).where(of_model).values(commitment=made.commitment))
+        left = action_matches.action_matches(session, CONSOLE, log.id)
+    assert [match.reproduced for match in left] == [808]
+
+
+def test_names_the_first_mismatch(service: Service) -> None:
+    with_model(service, parts_from_the_second_step)
+    log = resimulated(service, a_log())
+    (match,) = service.get(f"/submissions/{log.id}/action-matches").json()
+    assert (match["reproduced"], match["episodes_reproduced"]) == (808, 269)
+    assert match["others"] == [{"episode": 5, "actions": 3, "reproduced": 1, "first_mismatch": 2}]
 
 
 def test_only_complete_models_of_the_same_team_and_evaluator_are_compared(service: Service) -> None:

@@ -86,10 +86,14 @@ def view(database: Database, by: Principal, submission: Submission) -> Submissio
         return listing.get(session, SETTINGS, by, submission.id)
 
 
-def test_both_lists_are_played_and_the_sealed_one_alone_ranks(database: Database, principal: Principal) -> None:
+def test_both_lists_are_played_the_sealed_one_alone_ranks_and_a_team_sees_the_episodes_of_the_other(
+    database: Database, principal: Principal
+) -> None:
     submission = submit(database, principal)
+    assert view(database, principal, submission).evaluation.progress.episodes_total == 540
     play_lists(database, submission, public=200, sealed=100)
     shown = view(database, principal, submission).evaluation
+    assert shown.progress.episodes_total == 270
     assert (shown.scores[0].success_rate, shown.list_kind) == (100 / 270, ListKind.SEALED)
     assert shown.practice_scores is not None
     (practice,) = shown.practice_scores
@@ -100,13 +104,7 @@ def test_both_lists_are_played_and_the_sealed_one_alone_ranks(database: Database
     assert practice.sentence.startswith(said)
     with database.transaction() as session:
         board = leaderboard(session, shown_stage(session, TRACK, FIRST)).view
-    assert (board.is_practice, [entry.success_rate for entry in board.entries]) == (False, [100 / 270 / 2])
-
-
-def test_a_team_sees_the_episodes_of_the_public_list_only(database: Database, principal: Principal) -> None:
-    submission = submit(database, principal)
-    play_lists(database, submission, public=200, sealed=100)
-    with database.transaction() as session:
+        assert (board.is_practice, [entry.success_rate for entry in board.entries]) == (False, [100 / 270 / 2])
         other = make_principal(session, "Team B")
         ends = listing.episodes(session, principal, submission.id, practice=True)
         assert sum(end.success for end in ends) == 200
@@ -120,20 +118,11 @@ def test_a_team_sees_the_episodes_of_the_public_list_only(database: Database, pr
                 listing.episodes(session, by, submission.id, practice=True)
 
 
-def test_progress_counts_the_episodes_of_both_lists(database: Database, principal: Principal) -> None:
-    submission = submit(database, principal)
-    assert view(database, principal, submission).evaluation.progress.episodes_total == 540
-    play_lists(database, submission, public=1, sealed=1)
-    assert view(database, principal, submission).evaluation.progress.episodes_total == 270
-
-
 def test_a_policy_that_breaks_on_the_public_list_has_no_score(database: Database, principal: Principal) -> None:
     submission = submit(database, principal)
     *of_both, last = shard_numbers(database, submission)
     for shard_id in of_both:
-        lease = claim(database, shard_id)
-        store(database, lease, [make_record(number) for number in lease.episodes])
-        finish(database, lease)
+        play(database, shard_id)
     lease = claim(database, last)
     assert lease.commitment is None
     store(database, lease, [make_failed_record(number) for number in lease.episodes[:3]])

@@ -3,19 +3,19 @@ from datetime import datetime
 import pytest
 from service_factories import make_settings, play, play_all, shard_ids, submit, submit_to
 from sqlalchemy import select, text
+from submission_steps import make_worker
 from vitac.evaluator.tracks import load_track
 from vitac.evaluator.version import evaluator_version
 from vitac.server.database.engine import Database
 from vitac.server.database.locks import AdvisoryLock, lock_evaluation
-from vitac.server.database.models import Evaluation, Shard, Submission, Worker
-from vitac.server.database.states import EvaluationState, WorkerState
+from vitac.server.database.models import Evaluation, Shard, Submission
+from vitac.server.database.states import EvaluationState
 from vitac.server.errors import ServiceError
 from vitac.server.evaluations import lifecycle, superseding
 from vitac.server.evaluations.history import newest_evaluation
 from vitac.server.evaluations.superseding import supersede_outdated
 from vitac.server.operations.state import operations
 from vitac.server.principals import CONSOLE, Principal
-from vitac.server.queue import workers
 from vitac.server.queue.workers import OWN_SOURCES, declare, versions_here
 from vitac.server.settings import OutdatedRule
 from vitac.server.submissions import listing
@@ -42,7 +42,7 @@ def test_the_new_evaluation_is_charged_in_place_of_the_old_one(database: Databas
             return [charge for charge in session.scalars(query) if charge]
 
     before = charges()
-    add_worker(database, evaluator_version())
+    make_worker(database)
     with database.transaction() as session:
         assert supersede_outdated(session, SETTINGS) == 1
     assert charges() == before
@@ -60,7 +60,7 @@ def test_evaluations_keep_their_turns(database: Database, principal: Principal) 
             submit(session, principal, content)
         session.execute(text("UPDATE evaluations SET evaluator_version = 'yesterday'"))
     before = turns(EvaluationState.QUEUED)
-    add_worker(database, evaluator_version())
+    make_worker(database)
     with database.transaction() as session:
         assert supersede_outdated(session, SETTINGS) == 3
     assert turns(EvaluationState.CANCELLED) == before
@@ -76,7 +76,7 @@ def test_an_evaluation_whose_track_file_or_task_is_gone_waits_and_keeps_no_other
         gone = submit_to(session, principal, track="maniskill", task="pick-cube")
         other = submit(session, principal)
         session.execute(text("UPDATE evaluations SET evaluator_version = 'yesterday'"))
-    add_worker(database, evaluator_version())
+    make_worker(database)
     lost_from(monkeypatch, lost)
     assert supersede(database) == 1
     assert newest(database, other).evaluator_version == evaluator_version()
@@ -105,21 +105,6 @@ def declare_rule(database: Database, rule: OutdatedRule, version: str | None = N
         declare(session, versions_here() | {OWN_SOURCES: version or evaluator_version()}, rule)
 
 
-def add_worker(database: Database, version: str) -> None:
-    worker = Worker(
-        host="h",
-        pid=1,
-        slots=1,
-        state=WorkerState.READY,
-        evaluator_version=version,
-        platform_class="p",
-        isolation="i",
-        message="",
-    )
-    with database.transaction() as session:
-        workers.register(session, worker)
-
-
 def supersede(database: Database) -> int:
     with database.transaction() as session:
         session.execute(text("SET LOCAL statement_timeout = '60s'"))  # else one that waits would hang the test
@@ -139,7 +124,7 @@ def shards(database: Database, submission: Submission) -> list[Shard]:
 def test_evaluation_of_a_version_that_nobody_runs_is_begun_again(
     database: Database, principal: Principal, outdated: Submission
 ) -> None:
-    add_worker(database, evaluator_version())
+    make_worker(database)
     assert supersede(database) == 1
     with database.transaction() as session:
         view = listing.get(session, SETTINGS, principal, outdated.id)
@@ -152,10 +137,13 @@ def test_evaluation_of_a_version_that_nobody_runs_is_begun_again(
     assert newest(database, outdated).state is EvaluationState.COMPLETED
 
 
-def test_it_is_left_alone_while_a_worker_of_its_version_lives(database: Database, outdated: Submission) -> None:
-    add_worker(database, evaluator_version())
-    add_worker(database, "yesterday")
+def test_it_is_left_alone_while_nobody_runs_the_new_version_or_a_worker_of_its_own_lives(
+    database: Database, outdated: Submission
+) -> None:
     assert supersede(database) == 0
+    for version in ("yesterday", evaluator_version()):
+        make_worker(database, evaluator_version=version)
+        assert supersede(database) == 0
     assert newest(database, outdated).state is EvaluationState.RUNNING
 
 
@@ -167,7 +155,7 @@ def test_what_has_begun_is_left_to_its_workers_where_the_service_says_so_and_wha
         session.execute(text("UPDATE evaluations SET evaluator_version = 'yesterday'"))
     declare_rule(database, OutdatedRule.FINISH)
     for version in (evaluator_version(), "yesterday"):
-        add_worker(database, version)
+        make_worker(database, evaluator_version=version)
     assert supersede(database) == 1
     assert newest(database, outdated).state is EvaluationState.RUNNING
     assert newest(database, waits).evaluator_version == evaluator_version()
@@ -177,7 +165,7 @@ def test_what_no_worker_can_finish_says_so_and_is_restarted_by_an_organizer_only
     database: Database, principal: Principal, outdated: Submission
 ) -> None:
     declare_rule(database, OutdatedRule.FINISH)
-    add_worker(database, evaluator_version())
+    make_worker(database)
     assert supersede(database) == 0
     with database.transaction() as session:
         assert listing.get(session, SETTINGS, principal, outdated.id).workers.missing_evaluator == "yesterday"
@@ -198,14 +186,9 @@ def test_what_no_worker_can_finish_says_so_and_is_restarted_by_an_organizer_only
 
 def test_only_the_declared_version_restarts_those_of_others(database: Database, outdated: Submission) -> None:
     declare_rule(database, OutdatedRule.RESTART, "1+tomorrow")
-    add_worker(database, evaluator_version())
+    make_worker(database)
     assert supersede(database) == 0
     assert newest(database, outdated).evaluator_version == "yesterday"
-
-
-def test_it_is_left_alone_while_nobody_runs_the_new_version(database: Database, outdated: Submission) -> None:
-    assert supersede(database) == 0
-    assert newest(database, outdated).state is EvaluationState.RUNNING
 
 
 def test_finished_evaluations_and_those_of_this_version_are_left_alone(
@@ -217,7 +200,7 @@ def test_finished_evaluations_and_those_of_this_version_are_left_alone(
     with database.transaction() as session:
         session.execute(text("UPDATE evaluations SET evaluator_version = 'yesterday'"))
         submit(session, principal, "waiting")
-    add_worker(database, evaluator_version())
+    make_worker(database)
     assert supersede(database) == 0
 
 
@@ -231,7 +214,7 @@ def test_many_evaluations_are_begun_again_in_several_sweeps_the_oldest_first(
             submissions.append(submit(session, principal, name))
     with database.transaction() as session:
         session.execute(text("UPDATE evaluations SET evaluator_version = 'yesterday'"))
-    add_worker(database, evaluator_version())
+    make_worker(database)
     assert supersede(database) == 2
     assert [newest(database, submission).evaluator_version == evaluator_version() for submission in submissions] == [
         True,
@@ -243,7 +226,7 @@ def test_many_evaluations_are_begun_again_in_several_sweeps_the_oldest_first(
 
 
 def test_two_processes_at_once_do_it_once(database: Database, outdated: Submission) -> None:
-    add_worker(database, evaluator_version())
+    make_worker(database)
     with database.transaction() as session:
         session.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": AdvisoryLock.SUPERSEDE})
         assert supersede(database) == 0
@@ -257,7 +240,7 @@ def test_a_process_that_stands_still_with_a_lock_keeps_no_other_evaluation_from_
     with database.transaction() as session:
         other = submit(session, principal, "other")
         session.execute(text("UPDATE evaluations SET evaluator_version = 'yesterday'"))
-    add_worker(database, evaluator_version())
+    make_worker(database)
     with database.transaction() as stuck:
         if held == "evaluation":
             lock_evaluation(stuck, newest(database, outdated).id)

@@ -10,7 +10,6 @@ from service_factories import (
     make_record,
     make_settings,
     play,
-    shard_ids,
     state_of,
     store,
     submit,
@@ -18,6 +17,7 @@ from service_factories import (
 from sqlalchemy import text, update
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
+from submission_steps import ids_of
 from vitac.server.database.engine import Database
 from vitac.server.database.locks import AdvisoryLock
 from vitac.server.database.models import Shard, Submission, Team, Webhook, Work
@@ -30,17 +30,6 @@ from vitac.server.settings import Settings
 
 SETTINGS = make_settings(lease_s=0.003, lease_renewal_s=0.001)
 """Leases that have run out by the time of the next statement."""
-
-
-@pytest.fixture
-def submission(database: Database) -> Submission:
-    with database.transaction() as session:
-        return submit(session, make_principal(session))
-
-
-def ids_of(database: Database, submission: Submission) -> list[int]:
-    with database.transaction() as session:
-        return shard_ids(session, submission)
 
 
 def run_sweep(database: Database, settings: Settings = SETTINGS) -> Sweep:

@@ -5,7 +5,18 @@ from datetime import UTC, datetime, timedelta
 from uuid import UUID
 
 import pytest
-from service_factories import TASK, make_principal, make_score, play_all, submit, submit_scored
+from service_factories import (
+    TASK,
+    claim,
+    complete_scored,
+    make_principal,
+    make_record,
+    make_score,
+    shard_ids,
+    store,
+    submit,
+    submit_scored,
+)
 from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 from submission_steps import refused
@@ -13,7 +24,7 @@ from vitac.server.accounts import teams
 from vitac.server.audit import newest_entries
 from vitac.server.competitions.competition import Competition
 from vitac.server.database.engine import Database
-from vitac.server.database.models import Appeal, BoardResult, EpisodeResult, Evaluation, Rejudgement, Submission
+from vitac.server.database.models import Appeal, Evaluation, Rejudgement, Submission
 from vitac.server.database.states import AppealState, Role
 from vitac.server.errors import ProblemCode, ServiceError
 from vitac.server.names import TEXT_LENGTH
@@ -33,20 +44,17 @@ def with_appeals(session: Session, days: int | None = 7) -> None:
     put_in_place(session, content)
 
 
-def results(session: Session) -> list[object]:
-    """All that boards and records say."""
-    rates = session.scalars(select(BoardResult.ranked_by["success_rate"].as_float()).order_by(BoardResult.board))
-    return [*rates, *session.scalars(select(EpisodeResult.record_digest).order_by(EpisodeResult.id))]
-
-
 @pytest.fixture
 def played(database: Database) -> tuple[Principal, Submission]:
-    """A team and its finished submission, where appeals are possible for a week."""
+    """A team and its finished submission, where appeals are possible for a week; its third episode is stored."""
     with database.transaction() as session:
         with_appeals(session)
         team = make_principal(session, "Ants")
         submission = submit(session, team)
-    play_all(database, submission)
+        first = shard_ids(session, submission)[0]
+    store(database, claim(database, first), [make_record(3)])
+    with database.transaction() as session:
+        complete_scored(session, session.get_one(Submission, submission.id), {TASK: make_score(1)})
     return team, submission
 
 

@@ -1,28 +1,23 @@
-from service_factories import (
-    play_all,
-)
+from service_factories import TASK, complete_scored, make_score
 from sqlalchemy import text
 from submission_steps import create, refused, view_of
 from vitac.server.database.engine import Database
+from vitac.server.database.models import Submission
 from vitac.server.errors import ProblemCode
 from vitac.server.principals import CONSOLE, Principal
 from vitac.server.submissions import runs
 
 
-def test_finished_evaluation_cannot_be_cancelled(database: Database, principal: Principal) -> None:
-    submission, _ = create(database, principal)
-    play_all(database, submission)
-    with refused(ProblemCode.NOT_CANCELLABLE), database.transaction() as session:
-        runs.cancel(session, principal, submission.id)
-
-
-def test_organizer_runs_a_finished_submission_again_and_the_log_says_who(
+def test_a_finished_submission_is_not_cancelled_and_run_again_by_organizers_which_the_log_says(
     database: Database, principal: Principal
 ) -> None:
     submission, _ = create(database, principal)
     with refused(ProblemCode.NOT_REQUEUABLE), database.transaction() as session:
         runs.run_again(session, CONSOLE, submission.id)
-    play_all(database, submission)
+    with database.transaction() as session:
+        complete_scored(session, session.get_one(Submission, submission.id), {TASK: make_score(50)})
+    with refused(ProblemCode.NOT_CANCELLABLE), database.transaction() as session:
+        runs.cancel(session, principal, submission.id)
     with refused(ProblemCode.FORBIDDEN), database.transaction() as session:
         runs.run_again(session, principal, submission.id)
     with database.transaction() as session:

@@ -90,9 +90,9 @@ def test_who_asks_too_often_costs_no_look_up_more(site: SeededSite) -> None:
 
 
 def test_browsers_get_a_page_and_programs_their_json(browser: AsgiBrowser) -> None:
-    page = browser.get("/nothing-here")
-    assert page.status_code == 404
-    assert "<h1>Page not found</h1>" in page.text
+    page, wrong_method = browser.get("/nothing-here"), browser.post("/tracks/track_1")
+    assert (page.status_code, "<h1>Page not found</h1>" in page.text) == (404, True)
+    assert (wrong_method.status_code, "GET" in wrong_method.headers["allow"]) == (405, True)
     for path, accepted in (("/nothing-here", "application/json"), ("/api/v1/nothing-here", "text/html")):
         answer = browser.get(path, headers={"accept": accepted})
         assert answer.headers["content-type"] == "application/problem+json"
@@ -147,9 +147,3 @@ def test_a_database_that_is_away_or_full_is_a_page_that_says_why_and_when_to_com
         assert answer.headers["retry-after"] == "2"
         program = site.visitor().get("/", headers={"accept": "*/*"})
         assert (program.status_code, program.json()["code"]) == (503, "database_unavailable")
-
-
-def test_wrong_method_is_a_page(browser: AsgiBrowser) -> None:
-    answer = browser.post("/tracks/track_1")
-    assert answer.status_code == 405
-    assert "GET" in answer.headers["allow"]

@@ -61,13 +61,10 @@ def test_ways_in_are_buttons_and_each_card_leads_to_its_board_and_rules(browser:
     html = browser.get("/").text
     assert '<a class="button" href="/tracks/track_1/rules#taking-part">Take part</a>' in html
     assert '<a class="button plain" href="/docs/">Documentation</a>' in html
+    assert '<a href="/docs/demonstrations#by-hand">Play with your own keyboard</a>' in html
+    assert 'id="by-hand"' in browser.get("/docs/demonstrations").text
     cards = html.partition('class="cards"')[2].partition("</ul>")[0]
     assert cards.count("board<span") == cards.count('">Rules<') == cards.count("<li>") >= 1
-
-
-def test_visitors_are_invited_to_play_by_touch_themselves(browser: AsgiBrowser) -> None:
-    assert '<a href="/docs/demonstrations#by-hand">Play with your own keyboard</a>' in browser.get("/").text
-    assert 'id="by-hand"' in browser.get("/docs/demonstrations").text
 
 
 def test_who_plays_by_hand_is_told_which_row_of_which_board_to_beat(site: SeededSite) -> None:
@@ -120,19 +117,16 @@ def test_what_happened_lately_comes_first_and_links_what_is_public(site: SeededS
     assert "1 evaluation runs now, 1 in the queue." in shown
 
 
-@pytest.mark.parametrize(
-    ("days", "card"),
-    [(0, "Simulation is open until"), (-30.5, "Final opens on"), (-120, "Closed since")],
-)
-def test_a_card_says_whether_its_track_takes_submissions(site: SeededSite, days: float, card: str) -> None:
-    site.hold(moved(open_now(make_competition()), days))
-    html = site.visitor().get("/").text
-    assert card in first_card(html)
-    assert '<a class="button plain" href="/competition">The cup</a>' in html
-    assert '<a href="/competition">The cup</a></h3>' in html
-    assert '<li><a href="/competition">Competition</a></li>' in html
-    site.hold(moved(open_now(make_competition(taken_here=False)), days))
-    assert "collected elsewhere" in site.visitor().get("/").text
+def test_a_card_says_whether_its_track_takes_submissions(site: SeededSite) -> None:
+    for days, card in ((0, "Simulation is open until"), (-30.5, "Final opens on"), (-120, "Closed since")):
+        site.hold(moved(open_now(make_competition()), days))
+        html = site.visitor().get("/").text
+        assert card in first_card(html)
+        assert '<a class="button plain" href="/competition">The cup</a>' in html
+        assert '<a href="/competition">The cup</a></h3>' in html
+        assert '<li><a href="/competition">Competition</a></li>' in html
+        site.hold(moved(open_now(make_competition(taken_here=False)), days))
+        assert "collected elsewhere" in site.visitor().get("/").text
 
 
 def test_what_everybody_asks_for_is_kept_for_seconds(site: SeededSite, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,7 +5,6 @@ import pytest
 from cli_service import CliService
 from service_factories import TRACK
 from vitac.cli.client.answers import RequestRefused
-from vitac.cli.client.verbs import ConsentMissing
 from vitac.evaluator.strict_model import DocumentRejected
 from vitac.evaluator.tracks.sealed import make_commitment
 from vitac.server.competitions.competition import Competition
@@ -42,24 +41,30 @@ def test_a_file_is_checked_without_a_service(service: CliService, file: str, tmp
     assert "did you mean 'title'" in str(refused.exception)
 
 
-def test_nothing_is_applied_without_consent_or_in_a_dry_run(service: CliService, file: str) -> None:
-    assert isinstance(service.run("admin", "competition", "apply", file).exception, ConsentMissing)
-    dry = service.run("admin", "competition", "apply", file, "--dry-run")
-    assert (dry.exit_code, "The cup" in dry.stdout) == (0, True)
+def test_a_file_is_applied_once_and_by_one_of_two_who_change_it(service: CliService, file: str, tmp_path: Path) -> None:
+    apply = ("admin", "competition", "apply")
+    assert "The cup" in service.run(*apply, file, "--dry-run").stdout
     assert "has no competition" in str(service.run("admin", "competition", "show").exception)
-
-
-def test_a_file_is_applied_once(service: CliService, file: str) -> None:
-    first = service.run("admin", "competition", "apply", file, "--yes", "--confirm", PUBLIC_RANKING)
+    first = service.run(*apply, file, "--yes", "--confirm", PUBLIC_RANKING)
     lines = first.stdout.splitlines()
     assert (first.exit_code, lines[0], lines[-1]) == (0, "cup: The cup", "applied")
     assert "track_1: stage1 2031-01-01 00:00 to 2031-02-01 00:00 UTC; stage2 " in first.stdout
-    again = service.run("admin", "competition", "apply", file)  # nothing to consent to
+    again = service.run(*apply, file)  # nothing to consent to
     assert (again.exit_code, again.stdout.strip()) == (0, "Nothing changes.")
-    assert json.loads(service.run("admin", "competition", "apply", file, "--json").stdout) == []
+    assert json.loads(service.run(*apply, file, "--json").stdout) == []
     assert "track_1/stage1, track_1/stage2" in service.run("admin", "competition", "show").stdout
     (sealed,) = json.loads(service.run("admin", "competition", "lists", "--json").stdout)
     assert (sealed["stage"], sealed["secret"], len(sealed["commitment"])) == (SECOND, None, 64)
+    change = str(write_competition(tmp_path, make_competition(title="The first cup")))
+    base = service.run(*apply, change, "--dry-run").stderr.rpartition("--base ")[2].split(".")[0]
+    assert base in service.run("admin", "competition", "show").stdout
+    assert service.run(*apply, change, "--yes", "--base", base).exit_code == 0
+    second = str(write_competition(tmp_path, make_competition(summary="By touch.")))
+    for options in (("--yes", "--base", base), ("--yes",), ("--dry-run", "--base", base)):
+        refused = service.run(*apply, second, *options)
+        assert isinstance(refused.exception, RequestRefused)
+        assert refused.exception.code == ProblemCode.CHANGED_MEANWHILE
+    assert "The first cup" in service.run("admin", "competition", "show").stdout
 
 
 def test_a_list_is_revealed_after_its_stage_and_fits_its_commitment(service: CliService) -> None:
@@ -67,9 +72,10 @@ def test_a_list_is_revealed_after_its_stage_and_fits_its_commitment(service: Cli
         put_in_place(session, open_now(sealed_competition(), stage=1))
         for stage in (FIRST, SECOND):
             seal(session, CONSOLE, stored_stage(session, TRACK, stage))
-    early = service.run("admin", "competition", "reveal", TRACK, SECOND, "--yes")
-    assert isinstance(early.exception, RequestRefused)
-    assert "closes at" in str(early.exception)
+    for stage, said in ((SECOND, "closes at"), ("none", "no stage 'none'")):
+        refused = service.run("admin", "competition", "reveal", TRACK, stage, "--yes")
+        assert isinstance(refused.exception, RequestRefused)
+        assert said in str(refused.exception)
     dry = service.run("admin", "competition", "reveal", TRACK, FIRST, "--dry-run")
     listed = json.loads(service.run("admin", "competition", "lists", "--json").stdout)
     assert [each["secret"] for each in listed] == [None, None]
@@ -80,14 +86,6 @@ def test_a_list_is_revealed_after_its_stage_and_fits_its_commitment(service: Cli
     assert revealed == listed[0]
     assert make_commitment(bytes.fromhex(listed[0]["secret"])) == listed[0]["commitment"]
     assert listed[1]["secret"] is None
-
-
-def test_an_unknown_stage_cannot_be_revealed(service: CliService) -> None:
-    with service.database.transaction() as session:
-        put_in_place(session, make_competition())
-    refused = service.run("admin", "competition", "reveal", TRACK, "none", "--yes")
-    assert isinstance(refused.exception, RequestRefused)
-    assert "no stage 'none'" in str(refused.exception)
 
 
 def test_a_first_file_is_summed_up_in_ten_lines_and_ends_with_applied(service: CliService, tmp_path: Path) -> None:
@@ -153,22 +151,6 @@ def test_hiding_and_showing_names_is_warned_of(service: CliService, tmp_path: Pa
     assert "WARNING: anonymous is switched off: from now on everybody sees the real names" in told[1]
     assert "WARNING: anonymous is switched on" in told[2]
     assert "still knows them" in told[2]
-
-
-def test_the_second_of_two_who_apply_from_the_same_file_is_refused(service: CliService, tmp_path: Path) -> None:
-    apply = ("admin", "competition", "apply")
-    service.run(*apply, str(write_competition(tmp_path, make_competition())), "--yes", "--confirm", PUBLIC_RANKING)
-    first = str(write_competition(tmp_path, make_competition(title="The first cup")))
-    dry = service.run(*apply, first, "--dry-run")
-    base = dry.stderr.rpartition("--base ")[2].split(".")[0]
-    assert base in service.run("admin", "competition", "show").stdout
-    assert service.run(*apply, first, "--yes", "--base", base).exit_code == 0
-    second = str(write_competition(tmp_path, make_competition(summary="By touch.")))
-    for options in (("--yes", "--base", base), ("--yes",), ("--dry-run", "--base", base)):
-        refused = service.run(*apply, second, *options)
-        assert isinstance(refused.exception, RequestRefused)
-        assert refused.exception.code == ProblemCode.CHANGED_MEANWHILE
-    assert "The first cup" in service.run("admin", "competition", "show").stdout
 
 
 def test_a_change_of_what_has_happened_is_confirmed_by_name(

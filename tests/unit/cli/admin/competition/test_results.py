@@ -1,11 +1,16 @@
 import json
+import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
 from cli_service import CliService
 from service_factories import TASK, TRACK, make_principal, make_score, submit_scored
+from sqlalchemy.orm import Session
+from vitac.cli.client import verbs
 from vitac.cli.client.answers import RequestRefused
-from vitac.cli.client.verbs import ConsentMissing
+from vitac.cli.client.verbs import NOTHING_CHANGED, ConsentMissing
 from vitac.server.accounts import teams
 from vitac.server.principals import CONSOLE
 
@@ -25,21 +30,19 @@ def played(service: CliService) -> CliService:
     return service
 
 
-def test_boards_are_frozen_and_unfrozen(played: CliService) -> None:
+def test_boards_are_frozen_and_unfrozen_files_published_and_the_end_comes_once(
+    played: CliService, tmp_path: Path
+) -> None:
     assert json.loads(played.run("admin", "results", "freeze", "--dry-run", "--json").stdout) == {"frozen": True}
     assert played.run("admin", "results", "freeze").stdout.strip() == "boards are frozen"
-    assert isinstance(played.run("admin", "results", "unfreeze").exception, ConsentMissing)
     assert played.run("admin", "results", "unfreeze", "--dry-run").stdout.strip() == "boards show all results"
-    done = played.run("admin", "results", "unfreeze", "--yes", "--json")
-    assert (done.exit_code, json.loads(done.stdout)) == (0, {"frozen": False})
-
-
-def test_the_end_comes_with_consent_and_once(played: CliService) -> None:
+    assert json.loads(played.run("admin", "results", "unfreeze", "--yes", "--json").stdout) == {"frozen": False}
+    folder = tmp_path / "published"
+    written = json.loads(played.run("admin", "results", "publish", str(folder), "--json").stdout)
+    assert sorted(Path(path).name for path in written) == sorted(path.name for path in folder.iterdir())
+    assert played.run("admin", "results", "publish", str(folder)).exit_code == 1, "into a new folder only"
     shown = played.run("admin", "results", "winners").stdout
-    assert "Ants" in shown
-    assert "Bees" not in shown
-    assert isinstance(played.run("admin", "results", "finalize").exception, ConsentMissing)
-    assert played.run("admin", "results", "finalize", "--dry-run").exit_code == 0
+    assert ("Ants" in shown, "Bees" in shown) == (True, False)
     done = played.run("admin", "results", "finalize", "--yes", "--json")
     assert [winner["team"] for winner in json.loads(done.stdout)] == ["Ants"]
     again = played.run("admin", "results", "finalize", "--yes")
@@ -106,8 +109,37 @@ def test_each_prize_without_a_winner_is_named(played: CliService) -> None:
     assert "the competition has no prizes" in played.run("admin", "results", "finalize", "--yes").stderr
 
 
-def test_the_files_are_published_into_a_new_folder(played: CliService, tmp_path: Path) -> None:
-    folder = tmp_path / "published"
-    written = json.loads(played.run("admin", "results", "publish", str(folder), "--json").stdout)
-    assert sorted(Path(path).name for path in written) == sorted(path.name for path in folder.iterdir())
-    assert played.run("admin", "results", "publish", str(folder)).exit_code == 1
+def asked(service: CliService, monkeypatch: pytest.MonkeyPatch, *, meanwhile: Any = None, answer: bool = True) -> Any:
+    """Ends the competition as somebody at a terminal; something may happen while they read."""
+
+    def confirm(question: str, *, abort: bool) -> None:
+        assert (question, abort) == ("End the competition with these winners?", True)
+        if meanwhile is not None:
+            with service.database.transaction() as session:
+                meanwhile(session)
+        if not answer:
+            raise typer.Abort
+
+    with monkeypatch.context() as patch:
+        patch.setattr(typer, "confirm", confirm)
+        patch.setattr(
+            verbs, "sys", type("Terminal", (), {"stdin": type("", (), {"isatty": lambda: True}), "stderr": sys.stderr})
+        )
+        return service.run("admin", "results", "finalize")
+
+
+def disqualify_ants(session: Session) -> None:
+    teams.disqualify(session, CONSOLE, teams.find(session, "Ants"), "two accounts")
+
+
+def test_what_was_shown_is_done_or_nothing(played: CliService, monkeypatch: pytest.MonkeyPatch) -> None:
+    refused = asked(played, monkeypatch, answer=False)
+    assert (refused.exit_code, "Ants" in refused.stdout) == (1, True)
+    others = asked(played, monkeypatch, meanwhile=disqualify_ants)
+    assert isinstance(others.exception, RequestRefused)
+    assert "the winners became others, and nothing was done" in str(others.exception)
+    done = asked(played, monkeypatch)
+    assert (done.exit_code, "Bees" in done.stdout, "Ants" in done.stdout) == (0, True, False)
+    assert NOTHING_CHANGED not in done.stderr
+    (winner,) = json.loads(played.run("admin", "results", "winners", "--json").stdout)
+    assert winner["team"] == "Bees"

@@ -18,11 +18,6 @@ START = {"shape": "narrow", "offset_mm_deg": (0.0, 0.0, 0.0), "rng_seed": (0, 1)
 LIFT, CARRY, LOWER = (0, 0, 1, 0, 0), (1, 0, 0, 0, 0), (0, 0, -1, 0, 0)
 
 
-@pytest.fixture(autouse=True)
-def physics(fake_scenes: list[FakeScene]) -> list[FakeScene]:
-    return fake_scenes
-
-
 def played(*actions: tuple[float, ...], start: dict[str, Any] | None = None, **settings: Any) -> tuple[Any, ...]:
     env = AssemblyEnv(**settings)
     result: tuple[Any, ...] = env.reset(options=start or START)

@@ -16,11 +16,6 @@ ENTRANCES_MM = {"key1": 46.0, "key2": 52.0, "key3": 46.0, "key4": 62.0}
 SENSORS_MM = {"key1": 70.0, "key2": 75.0, "key3": 70.0, "key4": 80.0}
 
 
-@pytest.fixture(autouse=True)
-def physics(fake_scenes: list[FakeScene]) -> list[FakeScene]:
-    return fake_scenes
-
-
 def played(*actions: list[float], options: dict[str, Any], **settings: Any) -> tuple[Any, ...]:
     env = LockOpening2024Env(**settings)
     result: tuple[Any, ...] = env.reset(options={"rng_seed": (0, 1)} | options)

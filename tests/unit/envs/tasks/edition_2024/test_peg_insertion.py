@@ -16,11 +16,6 @@ START = {"shape": "concave2", "offset_mm_deg": (0.0, 0.0, 0.0), "rng_seed": (0, 
 REST = [0.0, 0.0, 0.0]
 
 
-@pytest.fixture(autouse=True)
-def physics(fake_scenes: list[FakeScene]) -> list[FakeScene]:
-    return fake_scenes
-
-
 def played(*actions: list[float], options: dict[str, Any] | None = None, **settings: Any) -> tuple[Any, ...]:
     env = PegInsertion2024Env(**settings)
     result: tuple[Any, ...] = env.reset(options=START | (options or {}))

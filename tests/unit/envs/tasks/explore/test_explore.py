@@ -16,11 +16,6 @@ START = {"shape": "cross", "end_pose_mm_deg": (1.0, -2.0, 10.0), "rng_seed": (0,
 AREA_MM2 = {"square": 256.0, "bar": 120.0, "beam": 120.0, "cross": 204.0, "frame": 156.0, "corner": 120.0}
 
 
-@pytest.fixture
-def physics(fake_scenes: list[FakeScene]) -> list[FakeScene]:
-    return fake_scenes
-
-
 def answer(x: float = 0.0, y: float = 0.0, **weights: float) -> np.ndarray:
     return np.array([x, y, *(weights.get(shape, -1.0) for shape in EndShape)], dtype=np.float32)
 
@@ -68,10 +63,7 @@ def test_each_env_step_lifts_goes_and_touches(physics: list[FakeScene]) -> None:
         ({"cross": 0.5, "bar": -0.5}, 0.125),
     ],
 )
-def test_the_brier_score_is_that_of_the_confidences(
-    physics: list[FakeScene], weights: dict[str, float], score: float
-) -> None:
-    del physics
+def test_the_brier_score_is_that_of_the_confidences(weights: dict[str, float], score: float) -> None:
     *_, info = played(answer(**weights))
     assert info["confidences"].sum() == pytest.approx(1.0)
     assert info["brier_score"] == pytest.approx(score)
@@ -87,8 +79,7 @@ def test_the_brier_score_is_that_of_the_confidences(
         ({}, "steps"),
     ],
 )
-def test_the_answer_of_the_sixth_env_step_decides(physics: list[FakeScene], last: dict[str, float], ends: str) -> None:
-    del physics
+def test_the_answer_of_the_sixth_env_step_decides(last: dict[str, float], ends: str) -> None:
     *_, before = played(*[answer(cross=1.0)] * 5)
     assert before["end_reason"] is None
     _, _, _, terminated, truncated, info = played(*[answer(cross=1.0)] * 5, answer(**last))
@@ -96,14 +87,12 @@ def test_the_answer_of_the_sixth_env_step_decides(physics: list[FakeScene], last
     assert (terminated, truncated) == (ends == "success", ends != "success")
 
 
-def test_a_gripper_that_leaves_its_range_has_failed(physics: list[FakeScene]) -> None:
-    del physics
+def test_a_gripper_that_leaves_its_range_has_failed() -> None:
     *_, info = played(*[answer(1.0, cross=1.0)] * 3)
     assert info["end_reason"] == "error"
 
 
-def test_the_truth_is_in_no_observation_and_the_expert_touches_around_the_middle(physics: list[FakeScene]) -> None:
-    del physics
+def test_the_truth_is_in_no_observation_and_the_expert_touches_around_the_middle() -> None:
     env = ExploreEnv()
     observation, info = env.reset(options=START)
     assert set(observation) == {"marker_flow", "relative_motion"}
@@ -115,8 +104,7 @@ def test_the_truth_is_in_no_observation_and_the_expert_touches_around_the_middle
     assert tuple(places[: len(AROUND_MM)]) == AROUND_MM
 
 
-def test_what_the_options_leave_open_follows_from_the_seed(physics: list[FakeScene]) -> None:
-    del physics
+def test_what_the_options_leave_open_follows_from_the_seed() -> None:
     env: Any = ExploreEnv()
     drawn = []
     for number in range(60):

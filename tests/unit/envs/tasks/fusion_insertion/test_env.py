@@ -22,11 +22,6 @@ PUBLIC = [
 ]
 
 
-@pytest.fixture(autouse=True)
-def physics(fake_scenes: list[FakeScene]) -> list[FakeScene]:
-    return fake_scenes
-
-
 def played(*actions: list[float], options: dict[str, Any] = LEFT, **settings: Any) -> tuple[Any, ...]:
     env = FusionInsertionEnv(**({"depth_mode": "gt"} | settings))
     result: tuple[Any, ...] = env.reset(options=options)

@@ -14,11 +14,6 @@ START = (3.0, -6.0, 20.0)
 PRESS, REST = [1.0, 0.0], [0.0, 0.0]
 
 
-@pytest.fixture(autouse=True)
-def physics(fake_scenes: list[FakeScene]) -> list[FakeScene]:
-    return fake_scenes
-
-
 def played(*actions: list[float], start: tuple[float, ...] = START, **settings: Any) -> tuple[Any, ...]:
     env = InHandTurnEnv(**settings)
     result: tuple[Any, ...] = env.reset(options={"shape": "narrow", "start_mm_deg": start, "rng_seed": (0, 1)})

@@ -6,16 +6,10 @@ import gymnasium
 import numpy as np
 import pytest
 import vitac.envs
-from fake_scene import FakeScene
 from vitac.envs.tasks.insertion.env import InsertionGoal, NoGoal
 
 PEG, LOCK, FUSION = "ViTac/PegInsertion-v1", "ViTac/LockOpening-v1", "ViTac/FusionInsertion-v1"
 assert vitac.envs.ENVIRONMENTS
-
-
-@pytest.fixture(autouse=True)
-def physics(fake_scenes: list[FakeScene]) -> list[FakeScene]:
-    return fake_scenes
 
 
 def played(env: Any, seed: int) -> list[tuple[Any, float, Any]]:

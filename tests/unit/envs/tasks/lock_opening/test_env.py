@@ -24,11 +24,6 @@ START = {"shape": "key1", "offset_mm": (0.0, 0.0, 0.0), "sensor_jitter_mm": (1.0
 OUT, IN, UP, STAY = [-1.0, 0.0], [1.0, 0.0], [0.0, -1.0], [0.0, 0.0]
 
 
-@pytest.fixture(autouse=True)
-def physics(fake_scenes: list[FakeScene]) -> list[FakeScene]:
-    return fake_scenes
-
-
 def played(*actions: list[float], options: dict[str, Any] | None = None, **settings: Any) -> tuple[Any, ...]:
     env = LockOpeningEnv(**settings)
     result: tuple[Any, ...] = env.reset(options=START | (options or {}))

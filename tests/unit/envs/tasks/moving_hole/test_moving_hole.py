@@ -17,11 +17,6 @@ START = {"shape": "cuboid", "offset_mm_deg": (3.0, -2.0, 5.0), "rng_seed": (0, 1
 STEADY = {"plate_motion": "constant", "plate_direction_deg": 90.0, "plate_start_s": 0.6}
 
 
-@pytest.fixture(autouse=True)
-def physics(fake_scenes: list[FakeScene]) -> list[FakeScene]:
-    return fake_scenes
-
-
 def played(*actions: list[float], **settings: Any) -> tuple[Any, ...]:
     env = MovingHoleEnv(**settings)
     result: tuple[Any, ...] = env.reset(options={**START, **STEADY})

@@ -19,11 +19,6 @@ from vitac.envs.tasks.task_env import ActionError, NotReset
 START = {"shape": "cuboid", "offset_mm_deg": (-4.0, -3.0, 6.0), "rng_seed": (0, 1)}
 
 
-@pytest.fixture(autouse=True)
-def physics(fake_scenes: list[FakeScene]) -> list[FakeScene]:
-    return fake_scenes
-
-
 def played(*actions: list[float], options: dict[str, Any] | None = None, **settings: Any) -> tuple[Any, ...]:
     env = PegInsertionEnv(**settings)
     result: tuple[Any, ...] = env.reset(options=START if options is None else options)

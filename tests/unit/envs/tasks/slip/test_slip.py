@@ -16,11 +16,6 @@ from vitac.envs.tasks.slip.env import GrowingLoad, SlipEnv, SlipScene, lift_ever
 START = {"shape": "bar", "offset_mm": (1.0, -2.0), "rng_seed": (0, 1)}
 
 
-@pytest.fixture(autouse=True)
-def physics(fake_scenes: list[FakeScene]) -> list[FakeScene]:
-    return fake_scenes
-
-
 def played(*actions: tuple[float, float], **settings: Any) -> tuple[Any, ...]:
     env = SlipEnv(**settings)
     result: tuple[Any, ...] = env.reset(options=START)

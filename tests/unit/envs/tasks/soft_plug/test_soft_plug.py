@@ -29,11 +29,6 @@ START = {"shape": "slim", "offset_mm": (2.0, -1.0), "rng_seed": (0, 1)}
 DOWN = (0.0, 0.0, -1.0)
 
 
-@pytest.fixture(autouse=True)
-def physics(fake_scenes: list[FakeScene]) -> list[FakeScene]:
-    return fake_scenes
-
-
 def played(*actions: tuple[float, float, float], start: dict[str, Any] = START, **settings: Any) -> tuple[Any, ...]:
     env = SoftPlugEnv(**settings)
     result: tuple[Any, ...] = env.reset(options=start)

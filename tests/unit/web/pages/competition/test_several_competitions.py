@@ -6,9 +6,8 @@ from typing import Any
 
 import pytest
 from cli_service import CliService, cli_service
-from httpx import Client
 from served_pages import PageVisitor, team_visitor, visitor, visitor_of_role
-from service_client import bearer, make_archive
+from service_client import make_archive
 from service_factories import TASK, TRACK, complete_scored, make_principal, make_score, submit
 from sqlalchemy import select
 from vitac.server.accounts import tokens
@@ -198,22 +197,6 @@ def test_an_organizer_freezes_the_boards_of_the_own_competition_on_its_page(
     assert refused.status_code == 403
     assert f"/competitions/{MAIN}/unfreeze" not in class_organizer.get(f"/competitions/{MAIN}").text
     assert "/freeze" not in team_visitor(service).get(page).text
-
-
-def test_an_organizer_confirms_who_advances_in_the_own_competition(service: CliService) -> None:
-    with service.database.transaction() as session:
-        issued = tokens.issue(
-            session, CONSOLE, role=Role.ORGANIZER, label="class room", competition=CLASS, lifetime=None
-        )
-    with Client(base_url=f"{service.address}/api/v1", headers=bearer(issued.secret), trust_env=False) as client:
-        place = f"/competitions/{CLASS}/tracks/{TRACK}/stages/stage2/advancement"
-        proposal = client.get(place).json()
-        assert [(team["team"], team["advances"]) for team in proposal["teams"]] == [("Ants", True)]
-        assert (proposal["confirmed"], proposal["revision"]) == ([], "")
-        early = client.put(place, json={})
-        assert early.status_code == 409, "the stage before is open"
-        assert client.get(place.replace(CLASS, MAIN)).status_code == 403
-        assert client.put(place.replace(CLASS, MAIN), json={}).status_code == 403
 
 
 def test_the_links_of_a_competition_are_those_of_its_receipts(service: CliService) -> None:

@@ -1,6 +1,5 @@
 from collections.abc import Mapping
 
-import pytest
 from markupsafe import escape
 from seeded_site import BEARS, GELBOTS, SeededSite
 from service_factories import LOCK, TASK
@@ -20,14 +19,25 @@ def print_in(site: SeededSite, episodes: Mapping[int, str], *, name: str = "both
     return f"{site.path_of(name)}/output"
 
 
-def test_output_is_shown_by_episode_and_escaped_with_outcomes_explained_once(site: SeededSite) -> None:
-    address = print_in(site, {268: "<b>first", 270: "second"})
-    html = site.visitor(GELBOTS).get(address).text
+def test_output_is_shown_by_episode_and_task_and_escaped_with_outcomes_explained_once(site: SeededSite) -> None:
+    browser, address = site.visitor(GELBOTS), f"{site.path_of('both')}/output"
+    html = browser.get(address).text
+    assert "Nothing was printed." in html
+    assert "plain-list" not in html
+    assert "Nothing was printed in the episodes after 9." in browser.get(f"{address}?after=9").text
+    for after in ("-1", "x", "1" * 30, "²"):
+        assert browser.get(f"{address}?after={after}").status_code == 400
+    print_in(site, {268: "<b>first", 270: "second"})
+    print_in(site, {5: "of locks"}, task=LOCK)
+    html = browser.get(address).text
     assert html.index("Episode 268: tactile") < html.index("Episode 270: tactile")
     assert "&lt;b&gt;first" in html
     assert "<b>first" not in html
     assert html.count("<li>tactile: ") == 1
     assert "Later episodes" not in html
+    of_locks = browser.get(f"{address}?task={LOCK}").text
+    assert ("of locks" in of_locks, "second" in of_locks) == (True, False)
+    assert f'href="{address}?task={LOCK}" aria-current="page"' in of_locks
 
 
 def test_more_episodes_are_one_link_away(site: SeededSite) -> None:
@@ -39,33 +49,12 @@ def test_more_episodes_are_one_link_away(site: SeededSite) -> None:
     assert (f"in {last}." in html, f"in {last - 1}." in html) == (True, False)
 
 
-def test_each_task_has_its_own_output(site: SeededSite) -> None:
-    print_in(site, {2: "of pegs"})
-    address = print_in(site, {5: "of locks"}, task=LOCK)
-    html = site.visitor(GELBOTS).get(f"{address}?task={LOCK}").text
-    assert ("of locks" in html, "of pegs" in html) == (True, False)
-    assert f'href="{address}?task={LOCK}" aria-current="page"' in html
-
-
 def test_why_a_policy_failed_is_told_also_where_it_printed_nothing(site: SeededSite) -> None:
     address = print_in(site, dict.fromkeys((4, 5, 6), ""), name="broke", task=LOCK)
     html = site.visitor(GELBOTS).get(address).text
     assert "<p>crashed: failed in 4. " in html
     assert "policy failed: The policy crashed, broke a limit or answered wrongly." in html
     assert '<pre class="log"' not in html
-
-
-def test_silence_is_told(site: SeededSite) -> None:
-    browser, address = site.visitor(GELBOTS), f"{site.path_of('both')}/output"
-    html = browser.get(address).text
-    assert "Nothing was printed." in html
-    assert "plain-list" not in html
-    assert "Nothing was printed in the episodes after 9." in browser.get(f"{address}?after=9").text
-
-
-@pytest.mark.parametrize("after", ["-1", "x", "1" * 30, "²"])
-def test_a_number_that_is_none_is_refused(site: SeededSite, after: str) -> None:
-    assert site.visitor(GELBOTS).get(f"{site.path_of('both')}/output?after={after}").status_code == 400
 
 
 def test_it_is_for_the_team_only_and_linked_where_there_is_some(site: SeededSite) -> None:

@@ -97,7 +97,9 @@ def test_the_map_of_a_completed_evaluation_is_drawn_once_and_that_of_a_running_o
     assert len(drawn) == 3
 
 
-def test_completed_submission_shows_its_score_and_stands_still(site: SeededSite) -> None:
+def test_completed_submission_shows_its_score_stands_still_and_leads_to_an_episode_of_each_outcome(
+    site: SeededSite,
+) -> None:
     html = site.visitor(GELBOTS).get(site.path_of("done")).text
     shown = words(html)
     for text in ("86.7 %", "82.1 % to 90.2 %", "4.50", "a missing task counts as 0, which makes 43.3 %"):
@@ -105,13 +107,9 @@ def test_completed_submission_shows_its_score_and_stands_still(site: SeededSite)
     assert "Lock opening: not part of this submission" in shown
     for gone in ("data-events", "http-equiv", "Cancel this evaluation", "live.js", "/appeals?submission="):
         assert gone not in html
-
-
-def test_an_outcome_is_explained_and_leads_to_an_episode_that_ended_so(site: SeededSite) -> None:
-    html = site.visitor(GELBOTS).get(site.path_of("done")).text
-    shown = re.findall(r'<li>\d+ (\w+): ([^<]+) <a href="([^"]+)">Play episode (\d+)</a></li>', html)
-    assert {outcome for outcome, *_ in shown} == {"success", "tactile", "steps", "error"}
-    for outcome, sentence, address, episode in shown:
+    ends = re.findall(r'<li>\d+ (\w+): ([^<]+) <a href="([^"]+)">Play episode (\d+)</a></li>', html)
+    assert {outcome for outcome, *_ in ends} == {"success", "tactile", "steps", "error"}
+    for outcome, sentence, address, episode in ends:
         assert sentence == EpisodeOutcome(outcome).sentence
         assert address == f"{site.path_of('done')}/episodes/{TASK}/{episode}"
         assert f'<a href="{address}"><title>Episode {episode},' in html
