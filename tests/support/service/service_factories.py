@@ -49,7 +49,7 @@ from vitac.server.queue import leases
 from vitac.server.queue.leases import Lease
 from vitac.server.queue.work import Claim
 from vitac.server.settings import Settings
-from vitac.server.submissions import creation
+from vitac.server.submissions import creation, listing
 from vitac.server.submissions.intake import CheckedUpload
 
 TRACK = "track_1"
@@ -77,10 +77,14 @@ def make_settings(**values: Any) -> Settings:
 
 
 def forget_boards() -> None:
-    """Lets this process read all boards anew: also those of a copy of a database, and after changes without a note."""
+    """Lets this process read all boards anew: also those of a copy of a database, and after changes without a note.
+
+    The same goes for the ends of episodes, whose names a copy of the seed shares with the others.
+    """
     board_cache._cache = Cache(at_most=200)
     standings._made_boards = MadeBoards()
     log_boards._made_boards = MadeBoards()
+    listing._ends = Cache(at_most=128)
 
 
 def make_principal(session: Session, team: str = "Team A") -> Principal:

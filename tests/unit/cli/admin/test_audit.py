@@ -114,7 +114,7 @@ TRIED_ELSEWHERE = {
     "submission withdraw-clearance",
 }
 """They need an empty service (tests/unit/server/operations/test_backup.py), results of another evaluator version
-(tests/unit/cli/admin/test_rejudge.py), a judged track (tests/unit/server/decisions/test_judging.py), a stage played
+(tests/unit/cli/admin/test_rejudging.py), a judged track (tests/unit/server/decisions/test_judging.py), a stage played
 elsewhere (tests/unit/server/decisions/test_edition_2026.py), or a copy
 (tests/unit/server/evaluations/test_near_copies.py)."""
 
