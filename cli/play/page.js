@@ -9,8 +9,9 @@ const LENGTHENED = 4;
 const DEAD_ZONE = 0.15;
 const [left, right, sceneCanvas] = document.querySelectorAll("canvas");
 const at = (id) => document.getElementById(id);
+const FINE = 0.25;
 const held = new Set();
-const pressed = new Set(); // since the last env step began, so that a short press is not lost while one is played
+const pressed = new Map(); // scale of each key since the last env step began: a short press while one is played counts
 let state = null;
 let isBusy = false;
 
@@ -21,18 +22,19 @@ async function ask(what, content = {}) {
   return found;
 }
 
+const scale = () => (held.has("Shift") ? FINE : 1);
+
 function wanted() {
   const pad = (navigator.getGamepads?.() ?? []).find((each) => each?.connected);
-  const isDown = (key) => held.has(key) || pressed.has(key);
-  const scale = isDown("Shift") ? 0.25 : 1;
-  let isActive = isDown(" ") || Boolean(pad?.buttons[0]?.pressed);
+  const valueOf = (key) => (held.has(key) ? scale() : (pressed.get(key) ?? 0));
+  let isActive = valueOf(" ") > 0 || Boolean(pad?.buttons[0]?.pressed);
   const action = state.actions.map((_, index) => {
     const keys = KEYS[index];
-    let value = (isDown(keys.more) ? 1 : 0) - (isDown(keys.less) ? 1 : 0);
-    const stick = pad?.axes[index] ?? 0;
-    if (value === 0 && Math.abs(stick) > DEAD_ZONE) value = index % 2 ? -stick : stick;
+    let value = valueOf(keys.more) - valueOf(keys.less);
+    const stick = Math.max(-1, Math.min(1, pad?.axes[index] ?? 0));
+    if (value === 0 && Math.abs(stick) > DEAD_ZONE) value = scale() * (index % 2 ? -stick : stick);
     isActive ||= value !== 0;
-    return scale * Math.max(-1, Math.min(1, value));
+    return value;
   });
   return isActive ? action : null;
 }
@@ -130,7 +132,7 @@ addEventListener("keydown", (event) => {
   if (key === " " || KEYS.some(({ more, less }) => key === more || key === less)) event.preventDefault();
   if (!held.has(key)) {
     held.add(key);
-    pressed.add(key);
+    pressed.set(key, scale());
     tick();
   }
 });

@@ -49,6 +49,7 @@ def test_keys_drive_the_gripper_while_they_are_held(playing: Page) -> None:
 
 
 def test_a_short_press_is_an_env_step_also_while_another_one_is_played(playing: Page) -> None:
+    expect(playing.locator("#where")).to_contain_text("env step 0")
     playing.evaluate("(() => { const send = fetch; fetch = async (...all) => "
                      "{ await new Promise((then) => setTimeout(then, 500)); return send(...all); }; })()")  # fmt: skip
     playing.keyboard.press("ArrowLeft", delay=20)
@@ -56,6 +57,10 @@ def test_a_short_press_is_an_env_step_also_while_another_one_is_played(playing: 
     playing.keyboard.press("ArrowDown", delay=20)
     playing.keyboard.up("Shift")
     expect(playing.locator("#where")).to_contain_text("env step 2 of 50, moved 2, 0, 0.25.")  # a quarter of 1 mm
+    playing.keyboard.press("ArrowLeft", delay=20)
+    playing.keyboard.press("ArrowDown", delay=20)
+    playing.keyboard.press("Shift", delay=20)
+    expect(playing.locator("#where")).to_contain_text("env step 4 of 50, moved 4, 0, 1.25.")  # it was not held yet
 
 
 def test_the_end_is_said_and_the_next_episode_begins(playing: Page) -> None:
