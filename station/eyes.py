@@ -349,7 +349,7 @@ def _free(stage: LinearStage, description: StationDescription, procedure: Proced
     """Take away what the gripper holds, where nobody is asked: pressed onto something it may pass a limit.
 
     The guard would then stop the station each time it is opened, and the trial of a killed agent would never be played.
-    A peg goes straight up; a key down out of the slots, and out of its lock to the garage in front of it.
+    A peg goes straight up; a key down out of the slots, out of its lock to the garage in front of it, and up there.
     """
     pose, hole, garage = stage.status().pose, procedure.hole, procedure.garage
     if procedure.release is not Release.AUTOMATIC or pose.z_mm >= procedure.safe_z_mm:
@@ -357,7 +357,8 @@ def _free(stage: LinearStage, description: StationDescription, procedure: Proced
     way = [pose._replace(z_mm=procedure.safe_z_mm)]
     if procedure.task is StationTask.LOCK:
         x_mm, z_mm = garage.x_mm + beside_mm[0], hole.z_mm + beside_mm[1]
-        way = [pose._replace(z_mm=z_mm), Pose(x_mm, garage.y_mm, z_mm, pose.rotation_deg)]
+        before_lock = Pose(x_mm, garage.y_mm, z_mm, pose.rotation_deg)
+        way = [pose._replace(z_mm=z_mm), before_lock, before_lock._replace(z_mm=procedure.safe_z_mm)]
     for target in way:
         stage.start_move(target, feed=60 * description.limits.speed_mm_s)
         end_s = monotonic() + description.patience * _FREE_S
@@ -368,7 +369,7 @@ def _free(stage: LinearStage, description: StationDescription, procedure: Proced
 
 
 def _free_locked(stage: LinearStage, description: StationDescription, procedure: Procedure, beside_mm: Beside) -> None:
-    """Take a held key out of its lock before a stage in alarm is homed, which lifts it first.
+    """Take a held key out of its lock and up before a stage in alarm is homed, which knows no way around a lock.
 
     Raises:
         DeviceFault: people are there to do it.
@@ -377,8 +378,8 @@ def _free_locked(stage: LinearStage, description: StationDescription, procedure:
         return
     if procedure.release is not Release.AUTOMATIC:
         raise DeviceFault(
-            "The stage is in alarm and the gripper is closed. Homing lifts it first, which would break a key in its "
-            "lock: open the gripper by hand, and put the key into its garage."
+            "The stage is in alarm and the gripper is closed. Homing would break a key in its lock, as it lifts it: "
+            "open the gripper by hand, and put the key into its garage."
         )
     stage.unlock()
     _free(stage, description, procedure, beside_mm)

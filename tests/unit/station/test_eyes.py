@@ -73,7 +73,7 @@ class LockedStage(Stage):
     ("task", "way"),
     [
         (StationTask.PEG, [(3.0, 1.0, -20.0, 2.0)]),
-        (StationTask.LOCK, [(3.0, 1.0, -41.0, 2.0), (76.5, 0.0, -41.0, 2.0)]),
+        (StationTask.LOCK, [(3.0, 1.0, -41.0, 2.0), (76.5, 0.0, -41.0, 2.0), (76.5, 0.0, -20.0, 2.0)]),
     ],
 )
 def test_what_a_killed_agent_left_pressed_onto_something_is_taken_away(
@@ -94,7 +94,17 @@ def test_what_a_killed_agent_left_pressed_onto_something_is_taken_away(
     ("task", "way"),
     [
         (StationTask.PEG, ["home", (0.0, 0.0, 0.0, 0.0)]),
-        (StationTask.LOCK, ["unlock", (3.0, 1.0, -40.0, 2.0), (75.0, 0.0, -40.0, 2.0), "home", (0.0, 0.0, 0.0, 0.0)]),
+        (
+            StationTask.LOCK,
+            [
+                "unlock",
+                (3.0, 1.0, -40.0, 2.0),
+                (75.0, 0.0, -40.0, 2.0),
+                (75.0, 0.0, -20.0, 2.0),
+                "home",
+                (0.0, 0.0, 0.0, 0.0),
+            ],
+        ),
     ],
 )
 def test_key_leaves_its_lock_before_a_stage_in_alarm_is_homed(task: StationTask, way: list[Any]) -> None:
